@@ -1,0 +1,103 @@
+"""The command line: `python -m paper_artifact VERB …`.
+
+Each verb is a module `paper_artifact/cli/<verb>.py` with
+
+    add_arguments(parser: argparse.ArgumentParser) -> None
+    run(arguments: argparse.Namespace) -> int            # the exit code
+
+and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither torch
+nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
+
+Exit codes: 0 done; 1 failed (InputError: one line on stderr, no trace; Ctrl-C likewise); 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from typing import NamedTuple, Sequence
+
+from paper_artifact import __version__
+from paper_artifact.errors import InputError
+
+
+class Verb(NamedTuple):
+    """Where a verb lives, what it does in one line, and whether it takes long enough for a progress bar."""
+
+    module: str
+    summary: str
+    long: bool = True
+
+
+VERBS: dict[str, Verb] = {
+    "fetch": Verb("fetch", "download the external meshes at their pinned commits, or read them from a mirror"),
+    "scene": Verb("scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"),
+    "train": Verb("train", "train a triangle soup on a scene and write its run record"),
+    "evaluate": Verb("evaluate", "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM"),
+    "export": Verb("export", "write a trained soup as PLY, GLB, PNG renders and a self-contained HTML view"),
+    "run-all": Verb("run_all", "execute every notebook in order and print a table of notebook, time and status"),
+    "bench": Verb("bench", "measure speed and memory; every ratio is taken in one process"),
+    "certify": Verb("certify", "certify a mesh's topology by exact simplicial homology"),
+    "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
+    "ingest": Verb("ingest", "turn raw open shells into one closed, certified surface"),
+    "sweep": Verb("sweep", "run a table of training runs, resuming what is missing"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line on `argv` (default: the process's arguments) and return the exit code.
+
+    Wrong usage and `--help` raise SystemExit (2 and 0), as argparse does.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    # Only the verb asked for is imported: the first word that is no option names it.
+    asked = next((word for word in argv if not word.startswith("-")), None)
+    try:
+        parser, runners = _parser(asked)
+        arguments = parser.parse_args(argv)
+        return int(runners[arguments.verb](arguments) or 0)
+    except InputError as error:
+        print(f"paper_artifact: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("paper_artifact: interrupted; finished files are complete and the same command can be run again",
+              file=sys.stderr)
+    except BrokenPipeError:
+        # The reader (head, less) has gone; point stdout at nothing, so that the interpreter's last flush is silent.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 1
+
+
+def _parser(asked: str | None):
+    parser = argparse.ArgumentParser(
+        prog="python -m paper_artifact",
+        description="Topology-aware differentiable triangle-soup reconstruction, piece by piece.",
+        epilog="`python -m paper_artifact VERB --help` explains a verb. Exit codes: 0 done, 1 failed, 2 wrong usage.",
+    )
+    parser.add_argument("--version", action="version", version=f"paper_artifact {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    runners = {}
+    for name, verb in VERBS.items():
+        # "resolve": a verb may define --quiet again with words of its own.
+        child = verbs.add_parser(name, help=verb.summary, description=verb.summary[0].upper() + verb.summary[1:] + ".",
+                                 conflict_handler="resolve")
+        if verb.long:
+            child.add_argument("--quiet", action="store_true", help="no progress bar, for logs")
+        if name == asked:
+            module = _load(name, verb)
+            module.add_arguments(child)
+            runners[name] = module.run
+    return parser, runners
+
+
+def _load(name: str, verb: Verb):
+    path = f"paper_artifact.cli.{verb.module}"
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError as error:
+        if error.name == path:
+            raise InputError(f"the verb '{name}' is not part of this version ({__version__}); "
+                             "`python -m paper_artifact --help` lists the verbs") from None
+        raise InputError(f"the verb '{name}' needs the Python package '{error.name}', which is not installed; "
+                         "run `bash reproduce.sh` or `bash test.sh`, which set up .venv, and use .venv/bin/python") from error
