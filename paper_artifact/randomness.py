@@ -1,0 +1,23 @@
+"""Counter-based randomness: every draw is a pure function of named integers, so order and threads cannot matter.
+
+`stream` gives a numpy Generator (Philox) for host-side sampling; the rasterizer's per-fragment draws use the
+32-bit hash in `paper_artifact.raster.draws`.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+
+def stream(seed: int, purpose: str, counter: int = 0) -> np.random.Generator:
+    """Return the Generator of (seed, purpose, counter); equal arguments give equal draws on every machine.
+
+    seed and counter are non-negative integers below 2**63; `purpose` names the use ("batch", "samples", ...), so two
+    uses of one seed never share draws.
+    """
+    if seed < 0 or counter < 0:
+        raise ValueError(f"seed and counter must be non-negative, got {seed} and {counter}")
+    key = (int(seed) << 32 | zlib.crc32(purpose.encode())) & (2**96 - 1)
+    return np.random.Generator(np.random.Philox(key=key & (2**128 - 1), counter=int(counter) << 128))
