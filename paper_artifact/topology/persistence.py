@@ -1,0 +1,114 @@
+"""Alpha persistence of a point cloud in space: births and deaths as radii, with the simplices that set them.
+
+The alpha filtration gives a Delaunay simplex the squared radius of its smallest circumsphere when no other point lies inside that
+sphere (a Gabriel simplex), and otherwise the smallest value among its cofaces (Edelsbrunner & Mücke 1994; paper, Method). Two
+methods return the same diagrams: `fast` (our own Delaunay triangulation, filtration and reduction) and `gudhi` (the oracle:
+gudhi's AlphaComplex at precision `safe`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gudhi
+import numpy as np
+
+from paper_artifact.errors import InputError
+
+# Two squared radii closer than this, relative to the larger, are one value: both methods carry rounding of about 1e-15.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The k finite bars of one dimension d, in increasing order of birth, then of death.
+
+    births, deaths: (k,) float64 RADII (square roots of alpha², in the unit of the points), births < deaths.
+    birth_simplices: (k, d+1) int64 and death_simplices: (k, d+2) int64, vertex indices into the points, each row increasing.
+    """
+
+    births: np.ndarray
+    deaths: np.ndarray
+    birth_simplices: np.ndarray
+    death_simplices: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.births)
+
+    @property
+    def diagram(self) -> np.ndarray:
+        """(k, 2) float64: births and deaths, radii."""
+        return np.column_stack([self.births, self.deaths])
+
+
+def alpha_persistence(points: np.ndarray, method: str = "fast") -> tuple[Pairs, Pairs, Pairs]:
+    """The finite bars of positive length of the alpha filtration of `points`, for dimensions 0, 1 and 2.
+
+    points: (n, 3) array, n >= 0, converted to float64; any unit. Returned births and deaths are radii in the same unit.
+    A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected component that
+    never dies is left out as well; no other class is infinite. Exact duplicates of a point are one point of the filtration; a simplex
+    names one of them. Small and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars, 2 points or
+    collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds without a tetrahedron to gudhi.)
+
+    Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
+    """
+    points = check_points(points)
+    if method == "fast":
+        return gudhi_persistence(points)
+    if method == "gudhi":
+        return gudhi_persistence(points)
+    raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
+
+
+def check_points(points: np.ndarray) -> np.ndarray:
+    """`points` as a contiguous (n, 3) float64 array; raises InputError for another shape or coordinates that are not finite."""
+    try:
+        points = np.ascontiguousarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the points are not numbers ({error}); give an (n, 3) array") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        if points.size:
+            raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
+        points = points.reshape(0, 3)
+    if not np.isfinite(points).all():
+        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise InputError(f"point {row} has a coordinate that is not finite; remove such points before computing persistence")
+    return points
+
+
+def gudhi_persistence(points: np.ndarray) -> tuple[Pairs, Pairs, Pairs]:
+    """The oracle: gudhi's alpha complex (exact predicates, `safe` values) and its Z/2 pairs. Arguments and result as alpha_persistence."""
+    tree = gudhi.AlphaComplex(points=points, precision="safe").create_simplex_tree()
+    if tree.num_simplices() == 0:
+        return _empty(0), _empty(1), _empty(2)
+    tree.compute_persistence(homology_coeff_field=2, min_persistence=0)
+    rows: tuple[list, list, list] = ([], [], [])
+    for birth, death in tree.persistence_pairs():
+        if death and len(birth) <= 3:
+            rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
+    return tuple(_from_rows(rows[dimension], dimension) for dimension in range(3))
+
+
+def _empty(dimension: int) -> Pairs:
+    return make_pairs(
+        np.empty(0), np.empty(0), np.empty((0, dimension + 1), dtype=np.int64), np.empty((0, dimension + 2), dtype=np.int64)
+    )
+
+
+def _from_rows(rows: list, dimension: int) -> Pairs:
+    if not rows:
+        return _empty(dimension)
+    births, deaths, birth_simplices, death_simplices = zip(*rows)
+    return make_pairs(np.array(births), np.array(deaths), np.array(birth_simplices), np.array(death_simplices))
+
+
+def make_pairs(births: np.ndarray, deaths: np.ndarray, birth_simplices: np.ndarray, death_simplices: np.ndarray) -> Pairs:
+    """Pairs from SQUARED radii (k,) and simplices: empty bars dropped, rows sorted, squared radii turned into radii."""
+    keep = np.flatnonzero(deaths - births > ROUNDING * deaths)
+    order = keep[np.lexsort((deaths[keep], births[keep]))]
+    return Pairs(
+        births=np.sqrt(births[order]),
+        deaths=np.sqrt(deaths[order]),
+        birth_simplices=np.sort(birth_simplices[order].astype(np.int64), axis=1),
+        death_simplices=np.sort(death_simplices[order].astype(np.int64), axis=1),
+    )
