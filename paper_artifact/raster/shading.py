@@ -1,0 +1,207 @@
+"""Shading kernels on the CPU: feature interpolation, view-direction harmonics, the small MLP, and their backward.
+
+Covered pixels are processed in blocks of `BLOCK`, one array row per quantity, so that every inner loop runs over
+consecutive pixels and vectorises. The forward keeps each block's activations; the backward walks them once.
+
+Shading (DiffSoup `multires.py`): x = [7 interpolated features, 9 real spherical harmonics of the unit direction from the surface to
+the camera]; y = sigmoid(w3·relu(w2·relu(w1·x + c1) + c2) + c3); colour = (1 - r)·x[0:3] + r·y with r = x[3].
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+BLOCK = 256
+FEATURES, HARMONICS, HIDDEN = 7, 9, 16
+ROWS = 2 * HIDDEN + FEATURES + HARMONICS + 3  # kept per pixel: x (16), h1 (16), h2 (16), y (3)
+_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}  # keeps NaN and infinity, so that a broken run is seen
+
+
+@numba.njit(inline="always")
+def _sigmoid(x):
+    # 0.5 + 0.5·tanh(x/2) with the clamped rational approximation of tanh that Eigen uses: within 4e-7, no call, vectorises.
+    t = min(max(np.float32(0.5) * x, np.float32(-7.90531110763549805)), np.float32(7.90531110763549805))
+    s = t * t
+    p = np.float32(-2.76076847742355e-16)
+    p = p * s + np.float32(2.00018790482477e-13)
+    p = p * s + np.float32(-8.60467152213735e-11)
+    p = p * s + np.float32(5.12229709037114e-08)
+    p = p * s + np.float32(1.48572235717979e-05)
+    p = p * s + np.float32(6.37261928875436e-04)
+    p = p * s + np.float32(4.89352455891786e-03)
+    q = np.float32(1.19825839466702e-06)
+    q = q * s + np.float32(1.18534705686654e-04)
+    q = q * s + np.float32(2.26843463243900e-03)
+    q = q * s + np.float32(4.89352518554385e-03)
+    return np.float32(0.5) + np.float32(0.5) * t * p / q
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _affine(weights, bias, x, out, count, relu):
+    # out[o, :] = weights[o] · x + bias[o], four inputs a pass: one load and store of the accumulator per four products.
+    for o in range(weights.shape[0]):
+        row = out[o]
+        b = bias[o]
+        for p in range(count):
+            row[p] = b
+        for i in range(0, weights.shape[1], 4):
+            v0, v1, v2, v3 = weights[o, i], weights[o, i + 1], weights[o, i + 2], weights[o, i + 3]
+            x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+            for p in range(count):
+                row[p] += v0 * x0[p] + v1 * x1[p] + v2 * x2[p] + v3 * x3[p]
+        if relu:
+            for p in range(count):
+                row[p] = max(row[p], np.float32(0.0))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _harmonics(pixels, start, count, width, height, rays, x):
+    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame.
+    sx, sy = np.float32(2.0 / width), np.float32(2.0 / height)
+    for p in range(count):
+        pixel = pixels[start + p]
+        row = pixel // width
+        u = np.float32(pixel - row * width + np.float32(0.5)) * sx - np.float32(1.0)
+        v = (np.float32(row) + np.float32(0.5)) * sy - np.float32(1.0)
+        dx = rays[0, 0] + rays[1, 0] * u + rays[2, 0] * v
+        dy = rays[0, 1] + rays[1, 1] * u + rays[2, 1] * v
+        dz = rays[0, 2] + rays[1, 2] * u + rays[2, 2] * v
+        norm = np.float32(1.0) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx *= norm
+        dy *= norm
+        dz *= norm
+        x[7, p] = np.float32(0.28209479177387814)
+        x[8, p] = np.float32(-0.4886025119029199) * dy
+        x[9, p] = np.float32(0.4886025119029199) * dz
+        x[10, p] = np.float32(-0.4886025119029199) * dx
+        x[11, p] = np.float32(1.0925484305920792) * dx * dy
+        x[12, p] = np.float32(-1.0925484305920792) * dy * dz
+        x[13, p] = np.float32(0.31539156525252005) * (np.float32(2.0) * dz * dz - dx * dx - dy * dy)
+        x[14, p] = np.float32(-1.0925484305920792) * dx * dz
+        x[15, p] = np.float32(0.5462742152960396) * (dx * dx - dy * dy)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def shade_forward(pixels, covered, visible, fragment_index, fragment_value, width, height, rays, features,
+                  w1, c1, w2, c2, w3, c3, activations, colour):
+    """Shade the covered pixels of one view into colour (3, H·W) float32, which comes in filled with the background.
+
+    features (T,3,7) float32 in [0,1]; rays (3,3) float32 (see `_harmonics`); weights as torch.nn.Linear has them.
+    activations (blocks, ROWS, BLOCK) float32 is filled for the backward pass.
+    """
+    for block in range((covered + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        count = min(BLOCK, covered - start)
+        kept = activations[block]
+        x, h1, h2, y = kept[0:16], kept[16:32], kept[32:48], kept[48:51]
+        for p in range(count):
+            fragment = visible[pixels[start + p]]
+            t = fragment_index[fragment, 1]
+            b0, b1 = fragment_value[fragment, 0], fragment_value[fragment, 1]
+            b2 = np.float32(1.0) - b0 - b1
+            for f in range(FEATURES):
+                x[f, p] = b0 * features[t, 0, f] + b1 * features[t, 1, f] + b2 * features[t, 2, f]
+        _harmonics(pixels, start, count, width, height, rays, x)
+        _affine(w1, c1, x, h1, count, True)
+        _affine(w2, c2, h1, h2, count, True)
+        _affine(w3, c3, h2, y, count, False)
+        for c in range(3):
+            for p in range(count):
+                y[c, p] = _sigmoid(y[c, p])
+            for p in range(count):
+                colour[c, pixels[start + p]] = x[c, p] + x[3, p] * (y[c, p] - x[c, p])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _accumulate_outer(delta, x, count, gradient, bias_gradient):
+    # gradient[o, i] += sum over pixels of delta[o]·x[i]; bias_gradient[o] += sum of delta[o].
+    for o in range(delta.shape[0]):
+        row = delta[o]
+        total = np.float32(0.0)
+        for p in range(count):
+            total += row[p]
+        bias_gradient[o] += total
+        for i in range(0, x.shape[0], 4):
+            x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+            s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for p in range(count):
+                d = row[p]
+                s0 += d * x0[p]
+                s1 += d * x1[p]
+                s2 += d * x2[p]
+                s3 += d * x3[p]
+            gradient[o, i] += s0
+            gradient[o, i + 1] += s1
+            gradient[o, i + 2] += s2
+            gradient[o, i + 3] += s3
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _transposed(weights, delta, out, count, rows):
+    # out[i, :] = sum over o of weights[o, i]·delta[o, :] for the first `rows` inputs.
+    outputs = weights.shape[0]
+    for i in range(rows):
+        row = out[i]
+        for p in range(count):
+            row[p] = weights[0, i] * delta[0, p]
+        o = 1
+        while o + 3 < outputs:
+            v0, v1, v2, v3 = weights[o, i], weights[o + 1, i], weights[o + 2, i], weights[o + 3, i]
+            d0, d1, d2, d3 = delta[o], delta[o + 1], delta[o + 2], delta[o + 3]
+            for p in range(count):
+                row[p] += v0 * d0[p] + v1 * d1[p] + v2 * d2[p] + v3 * d3[p]
+            o += 4
+        while o < outputs:
+            v0 = weights[o, i]
+            d0 = delta[o]
+            for p in range(count):
+                row[p] += v0 * d0[p]
+            o += 1
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def shade_backward(pixels, covered, visible, fragment_index, fragment_value, w1, w2, w3, activations, colour_gradient,
+                   feature_gradient, gw1, gc1, gw2, gc2, gw3, gc3):
+    """Accumulate dL/d(features, weights, biases) of one view from colour_gradient (3, H·W) float32; all outputs float32."""
+    d3 = np.empty((3, BLOCK), np.float32)
+    d2 = np.empty((HIDDEN, BLOCK), np.float32)
+    d1 = np.empty((HIDDEN, BLOCK), np.float32)
+    dx = np.empty((FEATURES, BLOCK), np.float32)
+    g = np.empty((3, BLOCK), np.float32)
+    for block in range((covered + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        count = min(BLOCK, covered - start)
+        kept = activations[block]
+        x, h1, h2, y = kept[0:16], kept[16:32], kept[32:48], kept[48:51]
+        for c in range(3):
+            for p in range(count):
+                g[c, p] = colour_gradient[c, pixels[start + p]]
+            for p in range(count):
+                d3[c, p] = g[c, p] * x[3, p] * y[c, p] * (np.float32(1.0) - y[c, p])
+        _accumulate_outer(d3, h2, count, gw3, gc3)
+        _transposed(w3, d3, d2, count, HIDDEN)
+        for i in range(HIDDEN):
+            for p in range(count):
+                d2[i, p] = d2[i, p] if h2[i, p] > 0 else np.float32(0.0)
+        _accumulate_outer(d2, h1, count, gw2, gc2)
+        _transposed(w2, d2, d1, count, HIDDEN)
+        for i in range(HIDDEN):
+            for p in range(count):
+                d1[i, p] = d1[i, p] if h1[i, p] > 0 else np.float32(0.0)
+        _accumulate_outer(d1, x, count, gw1, gc1)
+        _transposed(w1, d1, dx, count, FEATURES)
+        for c in range(3):
+            for p in range(count):
+                dx[c, p] += g[c, p] * (np.float32(1.0) - x[3, p])
+                dx[3, p] += g[c, p] * (y[c, p] - x[c, p])
+        for p in range(count):
+            fragment = visible[pixels[start + p]]
+            t = fragment_index[fragment, 1]
+            b0, b1 = fragment_value[fragment, 0], fragment_value[fragment, 1]
+            b2 = np.float32(1.0) - b0 - b1
+            for f in range(FEATURES):
+                value = dx[f, p]
+                feature_gradient[t, 0, f] += b0 * value
+                feature_gradient[t, 1, f] += b1 * value
+                feature_gradient[t, 2, f] += b2 * value

@@ -1,0 +1,36 @@
+"""Running one job per view on a fixed number of threads.
+
+Jobs write only their own buffers and results are reduced in view order by the caller, so the number of threads changes the time and
+nothing else.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Callable
+
+_pool: ThreadPoolExecutor | None = None
+_count = 1
+
+
+def set_thread_count(count: int) -> None:
+    """Use `count` >= 1 threads for the CPU kernels from now on (default 1). Raises ValueError below 1."""
+    global _pool, _count
+    if count < 1:
+        raise ValueError(f"the number of threads must be at least 1, got {count}")
+    if _pool is not None:
+        _pool.shutdown()
+    _pool = ThreadPoolExecutor(count) if count > 1 else None
+    _count = count
+
+
+def thread_count() -> int:
+    """Return the number of threads that `run_jobs` uses."""
+    return _count
+
+
+def run_jobs(job: Callable[[int], object], count: int) -> list:
+    """Return [job(0), …, job(count - 1)], run on the chosen number of threads; an exception in a job is raised here."""
+    if _pool is None or count == 1:
+        return [job(index) for index in range(count)]
+    return list(_pool.map(job, range(count)))
