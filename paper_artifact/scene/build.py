@@ -1,0 +1,154 @@
+"""Mesh → COLMAP scene on disk: images, sparse model, SfM cloud, the ground-truth mesh, and where it all came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from paper_artifact import __version__
+from paper_artifact.errors import InputError
+from paper_artifact.files import write_json
+from paper_artifact.mesh import Mesh
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
+from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonacci_cameras
+from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
+from paper_artifact.scene.texture import mesh_texture
+
+SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
+DESCRIPTION = "scene.json"
+GROUND_TRUTH = "ground_truth.npz"
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """How a scene is made of a mesh (paper, Experimental setup: 24-72 views at 200-256 pixels).
+
+    views: number of Fibonacci-sphere cameras, every 8th is held out; size: image side in pixels; background: white or black;
+    supersample: samples per pixel and axis; points: SfM points drawn from the surface, uniform by area; texture_frequency:
+    multiplies the texture's wave numbers; seed: of the SfM cloud. Raises InputError for values out of range.
+    """
+
+    views: int = 48
+    size: int = 200
+    background: str = "white"
+    supersample: int = 4
+    points: int = 15000
+    texture_frequency: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, lowest, highest in (("views", 2, 10000), ("size", 8, 8192), ("supersample", 1, 16),
+                                      ("points", 4, 10**7), ("seed", 0, 2**63 - 1)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
+                raise InputError(f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}")
+        if not 0 < self.texture_frequency <= 1000:
+            raise InputError(f"the scene's texture_frequency must be in (0, 1000], got {self.texture_frequency}")
+        background_colour(self.background)
+
+
+def mesh_hash(mesh: Mesh) -> str:
+    """sha256 (hex) over the mesh's vertices and faces; the name does not count."""
+    digest = hashlib.sha256(f"{len(mesh.vertices)} {len(mesh.faces)} ".encode())
+    digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(mesh.faces, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+def scene_key(mesh: Mesh, config: SceneConfig) -> str:
+    """sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
+    content = {"format": SCENE_FORMAT, "config": asdict(config), "mesh": mesh_hash(mesh), "name": mesh.name}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def scene_folder(mesh: Mesh, config: SceneConfig, root: Path | str) -> Path:
+    """A folder below `root` that no other mesh or configuration shares, for callers that keep many scenes."""
+    return Path(root) / f"{mesh.name}-{scene_key(mesh, config)[:12]}"
+
+
+def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: bool = False) -> Path:
+    """Write the COLMAP scene of `mesh` to `folder` and return the folder.
+
+    Contents: images/view_000.png …, sparse/0/{cameras,images,points3D}.bin, ground_truth.npz (the mesh, float64 world
+    units), scene.json (name, configuration, hashes, background, bounding sphere). All or nothing: built in a temporary folder beside
+    and renamed. A folder that already holds this very scene is returned as it is. `progress` shows a bar.
+
+    Raises InputError when the folder holds anything else or cannot be written.
+    """
+    folder = Path(folder)
+    key = scene_key(mesh, config)
+    if _holds(folder, key, config.views):
+        return folder
+    temporary = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
+        _write_scene(mesh, config, temporary, key, progress)
+        temporary.chmod(0o755)
+        try:
+            os.rename(temporary, folder)
+        except OSError:
+            if not _holds(folder, key, config.views):  # another process may have built the same scene meanwhile
+                raise
+    except OSError as error:
+        raise InputError(f"cannot write the scene to {folder}: {error.strerror}; choose a folder that you can write to") from error
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+    return folder
+
+
+def _holds(folder: Path, key: str, views: int) -> bool:
+    """True when the folder holds the scene `key`, False when it is absent or empty; else InputError."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return False
+    try:
+        held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["key"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder} exists and is no scene of this package; choose another folder or remove it") from error
+    if held != key:
+        raise InputError(f"{folder} holds the scene of another mesh or configuration; choose another folder or remove it")
+    if len(list((folder / "images").glob("*.png"))) < views or not (folder / GROUND_TRUTH).is_file():
+        raise InputError(f"the scene in {folder} has lost some of its files; remove the folder to build it again")
+    return True
+
+
+def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progress: bool) -> None:
+    background = background_colour(config.background)
+    cameras = fibonacci_cameras(mesh, config.views, config.size)
+    names = [f"view_{index:03d}.png" for index in range(config.views)]
+    (folder / "images").mkdir()
+    for name, camera in tqdm(list(zip(names, cameras)), desc=f"rendering {mesh.name}", unit="view", disable=not progress):
+        image = render_ground_truth(mesh, camera, background, config.supersample, config.texture_frequency)
+        Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
+    positions, _, _ = sample_surface(mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud"))
+    colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
+    first = cameras[0]
+    model = Model(
+        cameras={1: Intrinsics("PINHOLE", first.width, first.height,
+                               (first.focal_x, first.focal_y, first.centre_x, first.centre_y))},
+        images={index + 1: Pose(name, 1, camera.quaternion, camera.translation)
+                for index, (name, camera) in enumerate(zip(names, cameras))},
+        point_ids=np.arange(1, config.points + 1), positions=positions, colours=colours, errors=np.zeros(config.points),
+    )
+    write_model(model, folder / "sparse" / "0")
+    np.savez(folder / GROUND_TRUTH, vertices=mesh.vertices, faces=mesh.faces, name=np.array(mesh.name),
+             betti=np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64))
+    write_json(folder / DESCRIPTION, {
+        "format": SCENE_FORMAT, "package": __version__, "key": key, "config": asdict(config),
+        "background": background.tolist(), "centre": mesh.centre.tolist(), "radius": mesh.radius,
+        "camera_distance_in_radii": CAMERA_DISTANCE, "field_of_view_degrees": FIELD_OF_VIEW,
+        "mesh": {"name": mesh.name, "sha256": mesh_hash(mesh), "vertices": len(mesh.vertices), "faces": len(mesh.faces),
+                 "betti": list(mesh.betti) if mesh.betti is not None else None, "diagonal": mesh.diagonal},
+    })

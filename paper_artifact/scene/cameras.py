@@ -1,0 +1,104 @@
+"""Pinhole cameras in COLMAP's convention, the Fibonacci-sphere viewpoints, and the projection into clip space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import Mesh
+
+CAMERA_DISTANCE = 3.0  # in bounding radii of the scene
+FIELD_OF_VIEW = 50.0  # degrees, over the image's width
+NEAR, FAR = 0.01, 100.0  # in bounding radii of the scene
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera and its pose, as COLMAP writes them.
+
+    Intrinsics in pixels, the image's upper left corner at (0, 0) and the first pixel's centre at (.5, .5). Pose: world →
+    camera, x_camera = R x_world + translation with x right, y down, z forward; `quaternion` (w, x, y, z) is R.
+    """
+
+    width: int
+    height: int
+    focal_x: float
+    focal_y: float
+    centre_x: float
+    centre_y: float
+    quaternion: tuple[float, float, float, float]
+    translation: tuple[float, float, float]
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """World → camera rotation matrix (3,3) float64."""
+        return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+
+    @property
+    def position(self) -> np.ndarray:
+        """The camera's centre in world units, (3,) float64."""
+        return -self.rotation.T @ np.asarray(self.translation)
+
+
+def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
+    """The matrix (4,4) float64 with clip = M @ (x, y, z, 1) of a world position.
+
+    w is the depth in front of the camera (world units), NDC = xyz / w: x right, y down, the centre of the pixel in row r,
+    column c at ((2c+1)/width - 1, (2r+1)/height - 1); z runs from -1 at `near` to 1 at `far` (world units, depth along the
+    viewing axis).
+    """
+    projection = np.array([
+        [2 * camera.focal_x / camera.width, 0, 2 * camera.centre_x / camera.width - 1, 0],
+        [0, 2 * camera.focal_y / camera.height, 2 * camera.centre_y / camera.height - 1, 0],
+        [0, 0, (far + near) / (far - near), -2 * far * near / (far - near)],
+        [0, 0, 1, 0],
+    ])
+    view = np.eye(4)
+    view[:3, :3] = camera.rotation
+    view[:3, 3] = camera.translation
+    return projection @ view
+
+
+def look_at(position: np.ndarray, target: np.ndarray, size: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
+    """A square camera of `size` pixels at `position`, looking at `target` (world units), the world's +z upwards.
+
+    field_of_view in degrees over the width. Raises InputError when the view is along the z axis, where up is undefined.
+    """
+    forward = np.asarray(target, dtype=np.float64) - position
+    distance = np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) <= 1e-9 * distance:
+        raise InputError("a camera may not look along the z axis: its up direction is undefined; move it aside")
+    forward = forward / distance
+    right = right / np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    focal = size / 2 / np.tan(np.radians(field_of_view) / 2)
+    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return Camera(size, size, float(focal), float(focal), size / 2, size / 2, tuple(map(float, quaternion)),
+                  tuple(map(float, -rotation @ position)))
+
+
+def fibonacci_directions(count: int) -> np.ndarray:
+    """`count` unit vectors (count,3) float64, evenly spread: z = 1 - (2i+1)/count, azimuth i × golden angle.
+
+    None is on the z axis. Raises InputError for fewer than one.
+    """
+    if count < 1:
+        raise InputError(f"the number of views must be at least 1, got {count}")
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(GOLDEN_ANGLE * index), ring * np.sin(GOLDEN_ANGLE * index), z], axis=1)
+
+
+def fibonacci_cameras(mesh: Mesh, count: int, size: int) -> tuple[Camera, ...]:
+    """`count` cameras on a Fibonacci sphere around the mesh (paper, Experimental setup), all looking at its centre.
+
+    Distance 3 bounding radii, 50 degrees, `size` × `size` pixels: the paper names neither distance nor angle.
+    """
+    return tuple(look_at(mesh.centre + CAMERA_DISTANCE * mesh.radius * direction, mesh.centre, size)
+                 for direction in fibonacci_directions(count))

@@ -1,0 +1,283 @@
+"""COLMAP's sparse model: cameras, images and points3D, as text and as binary.
+
+Format: https://colmap.github.io/format.html. What a trainer needs is kept (cameras, poses, names, points with colour and
+reprojection error); 2-D observations and tracks are read past, and written as empty.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Iterable
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import write_bytes, write_text
+from paper_artifact.scene.cameras import Camera
+
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+          "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
+PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """One COLMAP camera: model name, size in pixels, parameters in pixels (f, cx, cy or fx, fy, cx, cy)."""
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One COLMAP image: file name, camera id, world → camera quaternion (w, x, y, z) and translation (world units)."""
+
+    name: str
+    camera: int
+    quaternion: tuple[float, float, float, float]
+    translation: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A sparse model. `cameras` and `images` by COLMAP id; the point cloud as arrays: ids (P,) int64, positions (P,3)
+    float64 world units, colours (P,3) uint8, errors (P,) float64 pixels."""
+
+    cameras: dict[int, Intrinsics]
+    images: dict[int, Pose]
+    point_ids: np.ndarray
+    positions: np.ndarray
+    colours: np.ndarray
+    errors: np.ndarray
+
+    def camera(self, image: int) -> Camera:
+        """The pinhole camera with pose of one image id."""
+        pose = self.images[image]
+        intrinsics = self.cameras[pose.camera]
+        focal = intrinsics.parameters[:-2]
+        return Camera(intrinsics.width, intrinsics.height, focal[0], focal[-1], *intrinsics.parameters[-2:],
+                      pose.quaternion, pose.translation)
+
+
+def read_model(folder: Path | str) -> Model:
+    """Read `cameras`, `images`, `points3D` (.bin, or else .txt) from a sparse folder.
+
+    Raises InputError, naming the file, for missing or damaged files, camera models with distortion, and images that
+    refer to a camera that is not there.
+    """
+    folder = Path(folder)
+    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    paths = [folder / (name + suffix) for name in ("cameras", "images", "points3D")]
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"no COLMAP file at {path}; give the folder that holds sparse/0 with cameras, images and points3D")
+    readers = _BINARY_READERS if suffix == ".bin" else _TEXT_READERS
+    parts = []
+    for path, reader in zip(paths, readers):
+        try:
+            parts.append(reader(path.read_bytes()))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
+        except (ValueError, IndexError, OverflowError, struct.error) as error:
+            raise InputError(f"{path} is damaged or no COLMAP file ({error}); export the model again") from error
+    cameras, images, points = parts
+    for pose in images.values():
+        if pose.camera not in cameras:
+            raise InputError(f"{paths[1]}: image {pose.name} refers to camera {pose.camera}, which {paths[0].name} lacks; "
+                             "export the model again")
+    return Model(cameras, images, *points)
+
+
+def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
+    """Write the model's three files into `folder` as binary or text, each atomically; floats are written exactly.
+
+    Raises InputError when the folder is not writable.
+    """
+    writers = _BINARY_WRITERS if binary else _TEXT_WRITERS
+    for name, writer in zip(("cameras", "images", "points3D"), writers):
+        content = writer(model)
+        path = Path(folder) / (name + (".bin" if binary else ".txt"))
+        write_bytes(path, content) if binary else write_text(path, content)
+
+
+class _Bytes:
+    """Reads little-endian structures one after another; short data raise struct.error, never allocate ahead."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.offset = data, 0
+
+    def take(self, layout: str) -> tuple:
+        values = struct.unpack_from("<" + layout, self.data, self.offset)
+        self.offset += struct.calcsize("<" + layout)
+        return values
+
+    def skip(self, count: int) -> None:
+        self.offset += count
+        if self.offset > len(self.data):
+            raise ValueError("the file ends too early")
+
+    def name(self) -> str:
+        end = self.data.index(b"\0", self.offset)
+        name = self.data[self.offset:end].decode("utf-8")
+        self.offset = end + 1
+        return name
+
+    def end(self) -> None:
+        if self.offset != len(self.data):
+            raise ValueError(f"{len(self.data) - self.offset} bytes follow the last entry")
+
+
+def _checked_camera(model: str, width: int, height: int, parameters: tuple[float, ...]) -> Intrinsics:
+    if len(parameters) != PARAMETERS[model]:
+        raise ValueError(f"{model} with {len(parameters)} parameters")
+    if width < 1 or height < 1 or not np.isfinite(parameters).all() or min(parameters[:-2]) <= 0:
+        raise ValueError(f"a camera of {width} x {height} pixels with parameters {parameters}")
+    return Intrinsics(model, int(width), int(height), tuple(float(value) for value in parameters))
+
+
+def _pinhole_only(model: str, camera: int) -> None:
+    if model not in MODELS:
+        raise ValueError(f"unknown camera model {model}")
+    if model not in PARAMETERS:
+        raise InputError(f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), only PINHOLE and "
+                         "SIMPLE_PINHOLE are read")
+
+
+def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
+    if not name or len(numbers) != 7 or not np.isfinite(numbers).all() or not np.any(numbers[:4]):
+        raise ValueError(f"image '{name}' has no valid pose")
+    return Pose(name, int(camera), tuple(float(q) for q in numbers[:4]), tuple(float(t) for t in numbers[4:]))
+
+
+def _points(ids: list[int], positions: list, colours: list, errors: list) -> tuple[np.ndarray, ...]:
+    xyz = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    rgb = np.array(colours, dtype=np.int64).reshape(-1, 3)
+    if not np.isfinite(xyz).all():
+        raise ValueError("a point with NaN or infinite coordinates")
+    if rgb.size and (rgb.min() < 0 or rgb.max() > 255):
+        raise ValueError("a colour outside 0..255")
+    return np.array(ids, dtype=np.int64), xyz, rgb.astype(np.uint8), np.array(errors, dtype=np.float64)
+
+
+def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
+    stream, cameras = _Bytes(data), {}
+    for _ in range(stream.take("Q")[0]):
+        camera, number, width, height = stream.take("iiQQ")
+        if not 0 <= number < len(MODELS):
+            raise ValueError(f"unknown camera model {number}")
+        _pinhole_only(MODELS[number], camera)
+        cameras[camera] = _checked_camera(MODELS[number], width, height, stream.take("d" * PARAMETERS[MODELS[number]]))
+    stream.end()
+    return cameras
+
+
+def _read_images_binary(data: bytes) -> dict[int, Pose]:
+    stream, images = _Bytes(data), {}
+    for _ in range(stream.take("Q")[0]):
+        image, *numbers, camera = stream.take("I7dI")
+        images[image] = _checked_pose(stream.name(), camera, tuple(numbers))
+        stream.skip(24 * stream.take("Q")[0])
+    stream.end()
+    return images
+
+
+def _read_points_binary(data: bytes) -> tuple[np.ndarray, ...]:
+    stream = _Bytes(data)
+    ids, positions, colours, errors = [], [], [], []
+    for _ in range(stream.take("Q")[0]):
+        point, x, y, z, red, green, blue, error, track = stream.take("Q3d3BdQ")
+        stream.skip(8 * track)
+        ids.append(point)
+        positions.append((x, y, z))
+        colours.append((red, green, blue))
+        errors.append(error)
+    stream.end()
+    return _points(ids, positions, colours, errors)
+
+
+def _rows(data: bytes) -> list[str]:
+    return [line for line in data.decode("utf-8").splitlines() if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
+    cameras = {}
+    for row in _rows(data):
+        camera, model, width, height, *parameters = row.split()
+        _pinhole_only(model, int(camera))
+        cameras[int(camera)] = _checked_camera(model, int(width), int(height), tuple(map(float, parameters)))
+    return cameras
+
+
+def _read_images_text(data: bytes) -> dict[int, Pose]:
+    images = {}
+    lines = iter(data.decode("utf-8").splitlines())
+    for line in lines:
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        image, *rest = line.split(maxsplit=9)
+        images[int(image)] = _checked_pose(rest[8].rstrip(), int(rest[7]), tuple(map(float, rest[:7])))
+        next(lines, None)  # the image's 2-D observations, an empty line when it has none
+    return images
+
+
+def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
+    rows = [row.split() for row in _rows(data)]
+    if any(len(row) < 8 for row in rows):
+        raise ValueError("a point with fewer than 8 values")
+    return _points([int(row[0]) for row in rows], [list(map(float, row[1:4])) for row in rows],
+                   [list(map(int, row[4:7])) for row in rows], [float(row[7]) for row in rows])
+
+
+def _write_cameras_binary(model: Model) -> bytes:
+    return struct.pack("<Q", len(model.cameras)) + b"".join(
+        struct.pack(f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters)
+        for camera, c in model.cameras.items())
+
+
+def _write_images_binary(model: Model) -> bytes:
+    return struct.pack("<Q", len(model.images)) + b"".join(
+        struct.pack("<I7dI", image, *p.quaternion, *p.translation, p.camera) + p.name.encode("utf-8") + b"\0"
+        + struct.pack("<Q", 0) for image, p in model.images.items())
+
+
+def _write_points_binary(model: Model) -> bytes:
+    return struct.pack("<Q", len(model.point_ids)) + b"".join(
+        struct.pack("<Q3d3BdQ", point, *xyz, *rgb, error, 0) for point, xyz, rgb, error in _point_rows(model))
+
+
+def _write_cameras_text(model: Model) -> str:
+    rows = [f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}"
+            for camera, c in model.cameras.items()]
+    return "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows]) + "\n"
+
+
+def _write_images_text(model: Model) -> str:
+    rows = [f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n"
+            for image, p in model.images.items()]
+    return "\n".join(["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[]", *rows]) + "\n"
+
+
+def _write_points_text(model: Model) -> str:
+    rows = [f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}"
+            for point, xyz, rgb, error in _point_rows(model)]
+    return "\n".join(["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]", *rows]) + "\n"
+
+
+def _exact(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _point_rows(model: Model) -> zip:
+    return zip(model.point_ids.tolist(), model.positions.tolist(), model.colours.tolist(), model.errors.tolist())
+
+
+_BINARY_READERS = (_read_cameras_binary, _read_images_binary, _read_points_binary)
+_TEXT_READERS = (_read_cameras_text, _read_images_text, _read_points_text)
+_BINARY_WRITERS = (_write_cameras_binary, _write_images_binary, _write_points_binary)
+_TEXT_WRITERS = (_write_cameras_text, _write_images_text, _write_points_text)
