@@ -178,7 +178,8 @@ def test_sibling_without_the_file_falls_through_to_the_network(tmp_path, monkeyp
         assert fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True).origin.startswith(url)
 
 
-@pytest.mark.parametrize("data, words", [(None, "has no readable"), (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")])
+@pytest.mark.parametrize("data, words", [(None, "has no readable"),
+                                         (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")])
 def test_bad_mirror_file(tmp_path, data, words):
     folder = tmp_path / "mirror"
     folder.mkdir() if data is None else mirror_with(folder, data)

@@ -19,7 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mirror", type=Path, metavar="DIR",
                         help=f"read from this folder (layout <owner>+<repository>/<path>) instead of the network; "
                              f"the environment variable {MIRROR_VARIABLE} does the same")
-    parser.add_argument("--out", type=Path, default=DOWNLOADS, metavar="DIR", help="where to put them (default: data_scripts/downloads)")
+    parser.add_argument("--out", type=Path, default=DOWNLOADS, metavar="DIR",
+                        help="where to put them (default: data_scripts/downloads)")
     parser.add_argument("--list", action="store_true", help="print key, role, source and licence of every mesh and fetch nothing")
 
 

@@ -109,7 +109,8 @@ def _download(entry: Source, target: Path, quiet: bool, base_url: str) -> str:
         raise InputError(f"the download of {url} broke off ({type(error).__name__}), so '{entry.key}' was not kept; "
                          f"run the same command again, or {OFFLINE_HINT}") from error
     except urllib.error.URLError as error:
-        raise Unreachable(f"{url} cannot be reached ({error.reason}), so '{entry.key}' was not fetched; {OFFLINE_HINT}") from error
+        raise Unreachable(f"{url} cannot be reached ({error.reason}), so '{entry.key}' was not fetched; "
+                          f"{OFFLINE_HINT}") from error
     return url
 
 

@@ -1,0 +1,149 @@
+"""Execute the notebooks through papermill, and write them back in a form that stays the same from run to run.
+
+Every notebook has one cell tagged `parameters` whose `profile` is "recorded" (read committed records, train only what
+is short) or "full" (train everything). Kernels run this very interpreter, in the notebook's own folder, as nbval does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Iterator, Sequence
+
+import nbformat
+from nbformat import NotebookNode
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY, RESULTS, write_text
+
+NOTEBOOKS = REPOSITORY / "notebooks"
+EXECUTED = RESULTS / "executed"
+PROFILES = ("recorded", "full")
+KERNEL = "python3"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One executed notebook: its name, wall time in seconds, and `error` ("" when it ran to its end)."""
+
+    name: str
+    seconds: float
+    error: str
+
+
+def notebook_files(folder: Path = NOTEBOOKS, only: Sequence[str] = ()) -> list[Path]:
+    """Return the folder's notebooks in name order; with `only`, those whose name starts with one of the given words.
+
+    Raises InputError when there is none, or when a word of `only` names none.
+    """
+    files = sorted(path for path in folder.glob("*.ipynb"))
+    if not files:
+        raise InputError(f"there are no notebooks in {folder}; restore them with git")
+    chosen: set[Path] = set()
+    for word in only:
+        exact = [path for path in files if path.stem == word.removesuffix(".ipynb")]
+        hits = exact or [path for path in files if word and path.stem.startswith(word)]
+        if not hits:
+            raise InputError(f"no notebook is called '{word}'; there are {', '.join(path.stem for path in files)}")
+        chosen.update(hits)
+    return [path for path in files if not only or path in chosen]
+
+
+@contextmanager
+def own_kernel() -> Iterator[str]:
+    """Name a kernel that is this interpreter, whatever kernels the user's machine has under the same name.
+
+    Jupyter looks into JUPYTER_PATH first, so a kernel description in a temporary folder there wins.
+    """
+    from ipykernel.kernelspec import get_kernel_dict
+
+    before = os.environ.get("JUPYTER_PATH")
+    with tempfile.TemporaryDirectory(prefix="paper_artifact-kernel-") as folder:
+        spec = Path(folder) / "kernels" / KERNEL / "kernel.json"
+        spec.parent.mkdir(parents=True)
+        spec.write_text(json.dumps({**get_kernel_dict(), "argv": [
+            sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]}))
+        os.environ["JUPYTER_PATH"] = folder if not before else folder + os.pathsep + before
+        try:
+            yield KERNEL
+        finally:
+            if before is None:
+                del os.environ["JUPYTER_PATH"]
+            else:
+                os.environ["JUPYTER_PATH"] = before
+
+
+def execute(path: Path, profile: str, *, executed: Path = EXECUTED, refresh: bool = False, quiet: bool = False) -> Outcome:
+    """Execute one notebook with the parameter `profile` and keep the executed copy in `executed`.
+
+    A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the error.
+    refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call inside `own_kernel`.
+    Raises InputError for an unknown profile or a folder that cannot be written.
+    """
+    import papermill
+    from papermill.exceptions import PapermillExecutionError
+
+    if profile not in PROFILES:
+        raise InputError(f"the profile '{profile}' is unknown; use one of {', '.join(PROFILES)}")
+    try:
+        executed.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {executed}: {error.strerror}; choose one that you can write to") from error
+    bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
+    start, error = time.monotonic(), ""
+    try:
+        notebook = papermill.execute_notebook(path, executed / path.name, parameters={"profile": profile}, cwd=path.parent,
+                                              kernel_name=KERNEL, language="python", progress_bar=bar)
+        if refresh:
+            write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
+    except PapermillExecutionError as caught:
+        error = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
+    except InputError:
+        raise
+    except Exception as caught:  # a dead kernel, a file that is no notebook: the others still run
+        error = f"{type(caught).__name__}: {caught}"
+    return Outcome(path.stem, time.monotonic() - start, " ".join(error.split()))
+
+
+def cleaned(notebook: NotebookNode) -> NotebookNode:
+    """Return a copy with outputs and counts but nothing that changes from run to run.
+
+    Removed: papermill's and the client's metadata (times, paths), the cell of injected parameters, widget states,
+    the interpreter's patch version. Code cells are numbered 1, 2, … as a run without injection would.
+    """
+    result = nbformat.from_dict(json.loads(nbformat.writes(notebook)))
+    result.cells = [cell for cell in result.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
+    result.metadata = NotebookNode({
+        "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": KERNEL},
+        "language_info": {"file_extension": ".py", "mimetype": "text/x-python", "name": "python"},
+    })
+    count = 0
+    for cell in result.cells:
+        for key in ("papermill", "execution", "collapsed", "scrolled"):
+            cell.metadata.pop(key, None)
+        if not cell.metadata.get("tags", [True]):
+            del cell.metadata["tags"]
+        if cell.cell_type == "code":
+            count += 1
+            cell.execution_count = count
+            for output in cell.outputs:
+                if output.output_type == "execute_result":
+                    output.execution_count = count
+    return result
+
+
+def outcome_table(outcomes: Sequence[Outcome]) -> str:
+    """Return the table notebook / time / status as aligned text, one line per outcome."""
+    width = max([len("notebook"), *(len(outcome.name) for outcome in outcomes)])
+    lines = [f"{'notebook':<{width}}  {'time':>8}  status"]
+    for outcome in outcomes:
+        minutes, seconds = divmod(outcome.seconds, 60)
+        error = outcome.error if len(outcome.error) <= 160 else outcome.error[:157] + "..."
+        lines.append(f"{outcome.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {'FAILED: ' + error if outcome.error else 'ok'}")
+    return "\n".join(lines)

@@ -1,0 +1,133 @@
+"""run-all on tiny notebooks: order, profile, failures that do not stop the rest, and a refresh that repeats itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat import v4
+
+from paper_artifact.cli import main
+from paper_artifact.errors import InputError
+from paper_artifact.notebooks import Outcome, cleaned, execute, notebook_files, outcome_table, own_kernel
+
+PARAMETERS = 'profile = "recorded"'
+
+
+def write_notebook(path: Path, *sources: str) -> Path:
+    parameters = v4.new_code_cell(PARAMETERS, metadata={"tags": ["parameters"]})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell("# Title"), parameters, *map(v4.new_code_cell, sources)]), path)
+    return path
+
+
+def printed(path: Path) -> str:
+    cells = nbformat.read(path, as_version=4).cells
+    return "".join(output.get("text", "") for cell in cells if cell.cell_type == "code" for output in cell.outputs)
+
+
+def test_order_profile_failure_and_exit_code(tmp_path, capsys):
+    folder, out = tmp_path / "notebooks", tmp_path / "out"
+    write_notebook(folder / "02_broken.ipynb", "print('before')", "raise ValueError('no such\\nshape')", "print('after')")
+    write_notebook(folder / "01_first.ipynb", "print(profile)")
+    write_notebook(folder / "03_last.ipynb", "import os, sys; print(sys.executable, os.getcwd(), sep='\\n')")
+    assert main(["run-all", "--notebooks", str(folder), "--out", str(out), "--profile", "full", "--quiet"]) == 1
+    printed_here = capsys.readouterr()
+    rows = printed_here.out.splitlines()
+    assert [row.split()[0] for row in rows[:4]] == ["notebook", "01_first", "02_broken", "03_last"]
+    assert [row.split()[2] for row in rows[1:4]] == ["ok", "FAILED:", "ok"]
+    assert "ValueError: no such shape" in rows[2]
+    assert "1 of 3 notebooks failed: 02_broken" in printed_here.err
+    assert printed(out / "01_first.ipynb") == "full\n"
+    assert "before" in printed(out / "02_broken.ipynb") and "after" not in printed(out / "02_broken.ipynb")
+    assert printed(out / "03_last.ipynb").split("\n")[:2] == [sys.executable, str(folder)]
+    assert printed(folder / "01_first.ipynb") == "", "without --refresh the notebooks stay as they are"
+
+
+def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
+    path = write_notebook(tmp_path / "notebooks" / "01_a.ipynb", "value = 2 if profile == 'recorded' else 3", "value * 21")
+    command = ["run-all", "--notebooks", str(path.parent), "--out", str(tmp_path / "out"), "--refresh", "--quiet"]
+    assert main(command) == 0
+    first = path.read_bytes()
+    assert main(command) == 0
+    assert path.read_bytes() == first
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == [1, 2, 3]
+    assert code[0].source == PARAMETERS and code[0].metadata == {"tags": ["parameters"]}
+    assert code[2].outputs[0].data["text/plain"] == "42" and code[2].outputs[0].execution_count == 3
+    assert b"papermill" not in first and str(tmp_path).encode() not in first and b"iopub" not in first
+    capsys.readouterr()
+
+
+def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
+    path = write_notebook(tmp_path / "01_bad.ipynb", "1 / 0")
+    before = path.read_bytes()
+    with own_kernel():
+        outcome = execute(path, "recorded", executed=tmp_path / "out", refresh=True, quiet=True)
+    assert path.read_bytes() == before
+    assert outcome.error.startswith("cell 3: ZeroDivisionError")
+
+
+def test_a_file_that_is_no_notebook_is_named(tmp_path):
+    (tmp_path / "01_noise.ipynb").write_text("{ not json")
+    with own_kernel():
+        outcome = execute(tmp_path / "01_noise.ipynb", "recorded", executed=tmp_path / "out", quiet=True)
+    assert outcome.name == "01_noise" and outcome.error and "\n" not in outcome.error
+
+
+def test_own_kernel_is_this_interpreter_and_restores_the_environment(monkeypatch):
+    from jupyter_client.kernelspec import KernelSpecManager
+
+    monkeypatch.setenv("JUPYTER_PATH", "elsewhere")
+    with own_kernel() as name:
+        assert KernelSpecManager().get_kernel_spec(name).argv[0] == sys.executable
+        assert os.environ["JUPYTER_PATH"].endswith(os.pathsep + "elsewhere")
+    assert os.environ["JUPYTER_PATH"] == "elsewhere"
+
+
+def test_choice_of_notebooks(tmp_path):
+    for name in ("01_a", "02_b", "02_bc"):
+        write_notebook(tmp_path / f"{name}.ipynb")
+    names = lambda *only: [path.stem for path in notebook_files(tmp_path, only)]  # noqa: E731
+    assert names() == ["01_a", "02_b", "02_bc"]
+    assert names("02_b") == ["02_b"] and names("02") == ["02_b", "02_bc"] and names("02_bc.ipynb", "01") == ["01_a", "02_bc"]
+    with pytest.raises(InputError, match="no notebook is called '9'; there are 01_a"):
+        notebook_files(tmp_path, ["9"])
+    with pytest.raises(InputError, match="no notebooks in"):
+        notebook_files(tmp_path / "none")
+
+
+def test_bad_profile_and_unwritable_folder(tmp_path, capsys):
+    path = write_notebook(tmp_path / "01_a.ipynb")
+    with pytest.raises(SystemExit) as caught:
+        main(["run-all", "--profile", "quick"])
+    assert caught.value.code == 2 and "invalid choice" in capsys.readouterr().err
+    with pytest.raises(InputError, match="profile 'quick' is unknown"):
+        execute(path, "quick", executed=tmp_path / "out")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot make the folder"):
+        execute(path, "recorded", executed=tmp_path / "file" / "out")
+
+
+def test_cleaned_removes_what_changes(tmp_path):
+    notebook = nbformat.read(write_notebook(tmp_path / "a.ipynb", "1"), as_version=4)
+    notebook.metadata.update(papermill={"start_time": "now"}, widgets={"state": {}}, language_info={"version": "3.11.2"})
+    notebook.cells.insert(2, v4.new_code_cell("profile = 'full'", metadata={"tags": ["injected-parameters"]}))
+    notebook.cells[3].metadata.update(papermill={"duration": 1}, execution={"iopub.status.busy": "now"}, tags=["keep"])
+    result = cleaned(notebook)
+    assert set(result.metadata) == {"kernelspec", "language_info"} and "version" not in result.metadata.language_info
+    assert [cell.metadata for cell in result.cells] == [{}, {"tags": ["parameters"]}, {"tags": ["keep"]}]
+    assert "papermill" in json.dumps(notebook), "the argument is left as it was"
+    nbformat.validate(result)
+
+
+def test_table_shows_minutes_and_cuts_long_errors():
+    text = outcome_table([Outcome("a", 61.25, ""), Outcome("longer", 3.0, "x" * 500)])
+    lines = text.splitlines()
+    assert lines[1].split() == ["a", "1:01.2", "ok"]
+    assert len(lines) == 3 and len(lines[2]) < 200 and lines[2].endswith("...")
