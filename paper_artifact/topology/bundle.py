@@ -1,0 +1,174 @@
+"""The target bundle: the significant bars of a ground truth, measured once at the density the loss will see.
+
+Paper §3.1: alpha values shift with spacing, so target and live cloud must have the same number of samples M; births and deaths
+are RADII divided by the ground truth's bounding-box diagonal D, and D and the floor are locked for all live evaluations.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import write_json
+from paper_artifact.randomness import stream
+from paper_artifact.topology.floor import measurement_floor, significant
+
+FORMAT = "paper_artifact target bundle 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Target bars and what they were measured on.
+
+    bars: per dimension 0, 1, 2 the significant finite bars (k,2) float64 (birth, death), radius / diagonal, longest first;
+    dimensions: those the loss acts on; reasons: one sentence per dimension 0, 1, 2; samples: M; seed: of the sample;
+    floor: 6 r_med(M) / diagonal (dimensionless); floor_multiplier: the 6; diagonal: D, world units; shape: a name;
+    source: "sha256:…" of the geometry the bars were measured on.
+    """
+
+    bars: tuple[np.ndarray, np.ndarray, np.ndarray]
+    dimensions: tuple[int, ...]
+    reasons: tuple[str, str, str]
+    samples: int
+    seed: int
+    floor: float
+    floor_multiplier: float
+    diagonal: float
+    shape: str
+    source: str
+
+    @property
+    def spacing(self) -> float:
+        """r_med(M) / diagonal of the target's sample."""
+        return self.floor / self.floor_multiplier
+
+    def require_density(self, samples: int) -> None:
+        """Raise InputError unless the loss samples at the density M this bundle was built at (paper §3.1)."""
+        if samples != self.samples:
+            raise InputError(f"the bundle of {self.shape!r} was built at M = {self.samples} but the loss samples {samples} points; "
+                             f"build the bundle at M = {samples}: alpha values shift with density")
+
+    def save(self, path: Path | str) -> None:
+        """Write the bundle as JSON, atomically. Raises InputError when the folder is not writable."""
+        write_json(path, self.to_json())
+
+    def to_json(self) -> dict:
+        """Return the bundle as a JSON-able dict, for its own file or inside a run record."""
+        return {"format": FORMAT, "bars": [each.tolist() for each in self.bars], "dimensions": list(self.dimensions),
+                "reasons": list(self.reasons), "samples": self.samples, "seed": self.seed, "floor": self.floor,
+                "floor_multiplier": self.floor_multiplier, "diagonal": self.diagonal, "shape": self.shape, "source": self.source}
+
+
+def build_bundle(points: np.ndarray, diagonal: float, *, dimensions: tuple[int, ...] | None = None,
+                 suppress: tuple[int, ...] = (), k: float = 6.0, shape: str = "points", seed: int = 0,
+                 source: str | None = None, method: str = "fast") -> Bundle:
+    """Measure the bundle of `points` (M,3) float64 world units, a sample of the ground truth with diagonal D (world units).
+
+    dimensions: where the loss acts; None takes every dimension with a significant bar (the torus at M = 2048 gives H1 alone,
+    because its void is below the floor). suppress: dimensions with no target on purpose, where every significant live bar
+    is pushed to the diagonal. k: the floor is k·r_med. method: see `alpha_persistence`.
+    Raises InputError when a dimension of `dimensions` has no significant bar, when none has, or for bad points.
+    """
+    from paper_artifact.topology.persistence import alpha_persistence  # compiled kernels: only when needed
+
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    floor = measurement_floor(points, diagonal, k)
+    bars, reasons, found = [], [], []
+    for dimension, pairs in enumerate(alpha_persistence(points / diagonal, method=method)):
+        every = np.column_stack([pairs.births, pairs.deaths])
+        lengths = every[:, 1] - every[:, 0]
+        kept = every[significant(every, floor)]
+        bars.append(kept[np.lexsort((kept[:, 0], -(kept[:, 1] - kept[:, 0])))])
+        if len(kept):
+            found.append(dimension)
+        reasons.append(_reason(lengths, floor, len(kept), len(points)))
+    chosen = tuple(found) if dimensions is None else tuple(sorted(set(dimensions)))
+    for dimension in chosen:
+        if dimension not in (0, 1, 2):
+            raise InputError(f"dimension {dimension} does not exist in three-dimensional space; choose among 0, 1 and 2")
+        if not len(bars[dimension]):
+            raise InputError(f"{shape!r} has no significant bar in dimension {dimension} at M = {len(points)} ({reasons[dimension]}); "
+                             "choose another dimension, or a larger M")
+    if not chosen and not suppress:
+        raise InputError(f"{shape!r} has no significant bar in any dimension at M = {len(points)}; raise M")
+    for dimension in set(suppress):
+        if dimension not in (0, 1, 2) or len(bars[dimension]):
+            raise InputError(f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar or does not exist")
+    acted = tuple(sorted(set(chosen) | set(suppress)))
+    reasons = tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons))
+    return Bundle(tuple(bars), acted, reasons, len(points), int(seed), floor, float(k), float(diagonal), shape,
+                  source or fingerprint(points))
+
+
+def build_from_mesh(vertices: np.ndarray, faces: np.ndarray, samples: int, seed: int = 0, *, shape: str = "mesh", **options) -> Bundle:
+    """Sample a mesh, vertices (V,3) world units and faces (F,3), uniformly by area and measure its bundle at M = `samples`.
+
+    D is the bounding-box diagonal of the vertices. The draw is a function of `seed` and equals the live soup's sampler with
+    opacity 1. Further options: those of `build_bundle`. Raises InputError as `build_bundle` and `sample_surface` do.
+    """
+    from paper_artifact.sampling import sample_surface
+
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    diagonal = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
+    return build_bundle(points, diagonal, shape=shape, seed=seed, source=fingerprint(vertices, faces), **options)
+
+
+def load_bundle(path: Path | str) -> Bundle:
+    """Read a bundle that `Bundle.save` wrote. Raises InputError for a file that is missing, no bundle, or inconsistent."""
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read the bundle {path}: {error}; build it again") from error
+    return bundle_from_json(value, str(path))
+
+
+def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
+    """Return the Bundle of a dict made by `Bundle.to_json`. Raises InputError, naming `name`, when it is not a valid one."""
+    if not isinstance(value, Mapping) or value.get("format") != FORMAT:
+        raise InputError(f"{name} is not a target bundle of the format {FORMAT!r}; build it again")
+    try:
+        bars = tuple(np.asarray(each, dtype=np.float64).reshape(-1, 2) for each in value["bars"])
+        bundle = Bundle(bars, tuple(int(d) for d in value["dimensions"]), tuple(str(r) for r in value["reasons"]),
+                        int(value["samples"]), int(value["seed"]), float(value["floor"]), float(value["floor_multiplier"]),
+                        float(value["diagonal"]), str(value["shape"]), str(value["source"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{name} is damaged ({type(error).__name__}: {error}); build it again") from error
+    numbers = np.concatenate([each.ravel() for each in bars] + [[bundle.floor, bundle.floor_multiplier, bundle.diagonal]])
+    lengths = np.concatenate([each[:, 1] - each[:, 0] for each in bars]) if bars else np.zeros(0)
+    valid = (len(bars) == 3 and len(bundle.reasons) == 3 and np.isfinite(numbers).all() and min(numbers[-3:]) > 0
+             and (lengths > bundle.floor).all() and bundle.samples >= 4 and bundle.dimensions and set(bundle.dimensions) <= {0, 1, 2})
+    if not valid:
+        raise InputError(f"{name} is damaged (bars below its own floor, or a number out of range); build it again")
+    return bundle
+
+
+def fingerprint(*arrays: np.ndarray) -> str:
+    """Return "sha256:…" of arrays' shapes and little-endian values: the identity of the geometry a bundle was measured on."""
+    digest = hashlib.sha256()
+    for each in arrays:
+        each = np.asarray(each)
+        kind = "<f8" if each.dtype.kind == "f" else "<i8"
+        digest.update(f"{kind}{each.shape}".encode())
+        digest.update(np.ascontiguousarray(each, dtype=kind).tobytes())
+    return "sha256:" + digest.hexdigest()
+
+
+def _reason(lengths: np.ndarray, floor: float, kept: int, count: int) -> str:
+    below = lengths[lengths <= floor]
+    largest_out = f"largest excluded {below.max() / floor:.2f}x the floor" if len(below) else "none excluded"
+    if not kept:
+        return f"no significant bar at M = {count}, {largest_out}"
+    return f"{kept} significant at M = {count}, tightest {lengths[lengths > floor].min() / floor:.2f}x the floor, {largest_out}"
+
+
+def _role(dimension: int, chosen: tuple[int, ...], suppress: tuple[int, ...]) -> str:
+    if dimension in chosen:
+        return "matched: "
+    return "suppressed on purpose: " if dimension in suppress else "not acted on: "
