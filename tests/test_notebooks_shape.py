@@ -1,0 +1,90 @@
+"""What every committed notebook must look like. nbval compares outputs, but passes a stripped notebook: so this."""
+
+from __future__ import annotations
+
+import ast
+import re
+
+import nbformat
+import pytest
+
+from paper_artifact.files import REPOSITORY
+from paper_artifact.notebooks import NOTEBOOKS, cleaned
+
+FILES = sorted(NOTEBOOKS.glob("*.ipynb"))
+MACHINE_PATH = re.compile(r"(?<![\w.])/(home|root|work|tmp|Users|opt)/\w")
+
+
+@pytest.fixture(params=FILES, ids=lambda path: path.stem)
+def path(request):
+    return request.param
+
+
+@pytest.fixture
+def notebook(path):
+    return nbformat.read(path, as_version=4)
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def is_parameters(cell):
+    return "parameters" in cell.metadata.get("tags", [])
+
+
+def test_there_are_notebooks_and_their_names_give_an_order():
+    assert FILES
+    assert all(re.fullmatch(r"\d\d_[a-z0-9_]+", path.stem) for path in FILES), "NN_name.ipynb"
+    assert len({path.stem[:2] for path in FILES}) == len(FILES)
+
+
+def test_opens_with_a_title_and_its_parameters(notebook):
+    assert notebook.cells[0].cell_type == "markdown" and notebook.cells[0].source.startswith("# ")
+    code = code_cells(notebook)
+    assert [is_parameters(cell) for cell in code] == [True] + [False] * (len(code) - 1), "the first code cell, and only it"
+    assert re.search(r'^profile\s*=\s*"recorded"', code[0].source, re.MULTILINE), "run-all injects `profile`"
+
+
+def test_is_thin(notebook):
+    code = code_cells(notebook)
+    assert 1 <= len(code) - 1 <= 6
+    for cell in code:
+        nodes = list(ast.walk(ast.parse(cell.source)))
+        assert not [node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))]
+        assert "sys.path" not in cell.source
+
+
+def test_every_code_cell_was_executed_in_order(notebook):
+    assert [cell.execution_count for cell in code_cells(notebook)] == list(range(1, len(code_cells(notebook)) + 1))
+
+
+def test_outputs_are_clean(notebook):
+    for cell in code_cells(notebook):
+        for output in cell.outputs:
+            assert output.output_type != "error"
+            assert output.get("name") != "stderr", "bars and warnings differ from run to run: use --quiet, fix the warning"
+            texts = [output.get("text", ""), *(value for kind, value in output.get("data", {}).items() if kind.startswith("text/"))]
+            assert not [text for text in texts if MACHINE_PATH.search(text)], "a path of one machine"
+
+
+def test_figures_have_their_numbers_beside_them(notebook):
+    """nbval never compares pictures, so a cell that draws also shows what it drew (a table, printed values)."""
+    for cell in code_cells(notebook):
+        if not any("image/png" in output.get("data", {}) for output in cell.outputs):
+            continue
+        compared = [output for output in cell.outputs
+                    if output.get("text") or "text/html" in output.get("data", {})
+                    or not output.get("data", {}).get("text/plain", "<Figure").startswith("<Figure")]
+        assert compared, cell.source
+
+
+def test_is_as_refresh_writes_it(path, notebook):
+    """Written by `run-all --refresh`: no times, no injected cell. Also small enough for the repository."""
+    assert path.read_text(encoding="utf-8") == nbformat.writes(cleaned(notebook)) + "\n"
+    assert path.stat().st_size < 2_000_000
+
+
+def test_strict_nbval_is_what_runs():
+    script = (REPOSITORY / "test.sh").read_text()
+    assert re.search(r"pytest --nbval --nbval-current-env notebooks", script) and "nbval-lax" not in script
