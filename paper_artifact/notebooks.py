@@ -68,7 +68,7 @@ def own_kernel() -> Iterator[str]:
         spec = Path(folder) / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
         spec.write_text(json.dumps({**get_kernel_dict(), "argv": [
-            sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]}))
+            sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]}))
         os.environ["JUPYTER_PATH"] = folder if not before else folder + os.pathsep + before
         try:
             yield KERNEL
