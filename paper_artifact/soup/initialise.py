@@ -1,0 +1,63 @@
+"""A soup's start: one small triangle per chosen point of the SfM cloud (DiffSoup, `notes/diffsoup.md` "Initialisation")."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
+from paper_artifact.soup.state import Soup, initial_mlp
+
+RANDOM_PART = 1.0 / 3.0  # DiffSoup takes 10,000 farthest points and 5,000 random ones
+RADIUS_OF_SPACING = 0.25
+
+
+@numba.njit(cache=True, nogil=True)
+def farthest_points(points, count, first):
+    """Return `count` indices (int64) of points (n,3) float64, each farthest from those before it, starting at `first`."""
+    chosen = np.empty(count, np.int64)
+    distance = np.full(len(points), np.inf)
+    current = first
+    for k in range(count):
+        chosen[k] = current
+        best, best_distance = 0, -1.0
+        for i in range(len(points)):
+            d = ((points[i, 0] - points[current, 0]) ** 2 + (points[i, 1] - points[current, 1]) ** 2
+                 + (points[i, 2] - points[current, 2]) ** 2)
+            if d < distance[i]:
+                distance[i] = d
+            if distance[i] > best_distance:
+                best, best_distance = i, distance[i]
+        current = best
+    return chosen
+
+
+def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
+    """Return a soup of min(count, n) triangles on points (n,3), world frame.
+
+    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle is equilateral with uniformly
+    random orientation and circumradius .25 × the mean nearest-neighbour spacing of the chosen points; logits start at zero.
+    Raises InputError for fewer than two points, points that are not finite, or points that all coincide.
+    """
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
+        raise InputError(f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D")
+    count = min(count, len(points))
+    draws = stream(seed, "initial-soup")
+    chosen = farthest_points(points, count - int(count * RANDOM_PART), int(draws.integers(len(points))))
+    rest = np.setdiff1d(np.arange(len(points)), chosen)
+    chosen = np.concatenate([chosen, draws.permutation(rest)[: count - len(chosen)]])
+    centres = points[chosen]
+    spacing = cKDTree(centres).query(centres, k=2)[0][:, 1].mean()
+    if not spacing > 0:
+        raise InputError("all points of the SfM cloud coincide; check the scene's points3D")
+    angle = 2 * np.pi * np.arange(3) / 3
+    base = np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], 1) * RADIUS_OF_SPACING * spacing
+    rotation = Rotation.random(count, rng=draws).as_matrix()
+    corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
+    return Soup(torch.from_numpy(corners.astype(np.float32)), torch.zeros(count, 3, 7), torch.zeros(count, 3),
+                initial_mlp(seed)).trainable()

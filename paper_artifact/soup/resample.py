@@ -1,0 +1,114 @@
+"""Prune and split: the resampler, an object that the training loop calls and never looks into.
+
+Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with long screen-space
+edges are split (`notes/diffsoup.md` "Resampling"). Two hooks let an allocation prior enter as weights without touching the loop: `prune_weight`
+turns the visible-pixel counts into the order of pruning, `split_weight` chooses among the visible triangles to split.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable
+
+import numpy as np
+import torch
+
+from paper_artifact.randomness import stream
+from paper_artifact.raster.threads import run_jobs
+from paper_artifact.raster.visibility import ViewRaster
+from paper_artifact.soup.split import split_long_edges
+from paper_artifact.soup.state import Soup
+
+PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (corners (T,3,3), counts (T,)) → priority (T,): lowest goes first
+SplitWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (corners (T,3,3), visible (T,) bool) → split (T,) bool
+
+
+def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """DiffSoup's order of pruning: the visible-pixel counts themselves."""
+    return counts
+
+
+def all_visible(corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """DiffSoup's choice for splitting: every triangle visible in the view."""
+    return visible
+
+
+@dataclass(frozen=True)
+class ResampleReport:
+    """What one resampling did: number of triangles before, after pruning, after splitting."""
+
+    before: int
+    pruned: int
+    after: int
+
+
+@dataclass(frozen=True)
+class Resampler:
+    """DiffSoup's prune-and-split. budget: triangles kept by pruning; fractions are of the run's steps."""
+
+    budget: int
+    interval: int = 100
+    prune_until: float = 0.955
+    split_until: float = 0.95
+    split_views: int = 20
+    split_height: float = 0.2
+    prune_weight: PruneWeight = by_visibility
+    split_weight: SplitWeight = all_visible
+
+    def due(self, step: int, steps: int) -> bool:
+        """Return whether `step` (1-based) of `steps` ends with a resampling."""
+        return step % self.interval == 0 and step < self.prune_until * steps
+
+    def resample(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, seed: int, step: int, steps: int
+                 ) -> tuple[Soup, ResampleReport]:
+        """Return the resampled soup and a report; world_to_clip (n,4,4) are the training views, height and width their full size.
+
+        Raises RuntimeError when the result breaks an invariant (budget, finite vertices, features carried along).
+        """
+        before = len(soup)
+        half = (max(height // 2, 1), max(width // 2, 1))
+        if len(soup) > self.budget:
+            corners = soup.vertices.detach().cpu().numpy()
+            counts = visible_pixels(soup, world_to_clip, *half).sum(0)
+            order = np.argsort(self.prune_weight(corners, counts), kind="stable")
+            soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget:])))
+        pruned = len(soup)
+        if step < self.split_until * steps:
+            views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
+            soup = self._split(soup, world_to_clip[views], *half)
+        self._check(soup, pruned)
+        return soup, ResampleReport(before, pruned, len(soup))
+
+    def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
+        visible = visible_pixels(soup, world_to_clip, height, width) > 0
+        corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
+        chosen = [self.split_weight(corners, seen) for seen in visible]
+        origins = np.arange(len(corners))
+        for matrix, wanted in zip(world_to_clip, chosen):
+            corners, origins = split_long_edges(corners, origins, wanted[origins], np.asarray(matrix, np.float64), width / height,
+                                                2 * self.split_height)
+        if len(corners) == len(soup):
+            return soup
+        return soup.select(torch.from_numpy(origins), torch.from_numpy(corners))
+
+    def _check(self, soup: Soup, pruned: int) -> None:
+        sizes = {len(soup.vertices), len(soup.features), len(soup.opacity)}
+        if len(sizes) != 1 or len(soup) < pruned or pruned == 0 or (self.budget < pruned):
+            raise RuntimeError(f"resampling broke the soup: sizes {sizes}, {pruned} kept of a budget of {self.budget}")
+        if not torch.isfinite(soup.vertices).all():
+            raise RuntimeError("resampling met vertices that are not finite")
+
+
+def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return per view and triangle the number of pixels (n,T) int64 in which the triangle is visible at the threshold .5."""
+    corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32).reshape(-1, 3)
+    homogeneous = np.concatenate([corners, np.ones((len(corners), 1), np.float32)], 1)
+    faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    opacity = soup.corner_opacity()
+
+    def job(index: int) -> np.ndarray:
+        clip = (homogeneous[:, None, :] * world_to_clip[index][None]).sum(-1, dtype=np.float32)
+        view = ViewRaster(height, width).draw(clip, faces, opacity, None)
+        return np.bincount(view.triangle[view.pixels[: view.covered]], minlength=len(faces))
+
+    return np.stack(run_jobs(job, len(world_to_clip)))

@@ -1,0 +1,88 @@
+"""The triangle soup: what is trained.
+
+Letters: T triangles. Every triangle owns its three corners; nothing is shared. Features and opacity are logits and pass
+through a sigmoid wherever they are used. The shading MLP belongs to the soup, since the features mean nothing without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import atomic_path
+from paper_artifact.randomness import stream
+
+MLP_SHAPES = ((16, 16), (16,), (16, 16), (16,), (3, 16), (3,))
+
+
+@dataclass(frozen=True)
+class Soup:
+    """vertices (T,3,3) float32 world; features (T,3,7) and opacity (T,3) float32 logits; mlp: see `MLP_SHAPES`, as torch.nn.Linear."""
+
+    vertices: torch.Tensor
+    features: torch.Tensor
+    opacity: torch.Tensor
+    mlp: tuple[torch.Tensor, ...]
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def select(self, triangles: torch.Tensor, vertices: torch.Tensor | None = None) -> "Soup":
+        """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices (K,3,3) replace positions."""
+        with torch.no_grad():
+            moved = self.vertices[triangles] if vertices is None else vertices
+            return Soup(moved.clone(), self.features[triangles].clone(), self.opacity[triangles].clone(), self.mlp).trainable()
+
+    def trainable(self) -> "Soup":
+        """Return the same soup with every tensor a leaf that requires a gradient."""
+        for tensor in (self.vertices, self.features, self.opacity, *self.mlp):
+            tensor.requires_grad_(True)
+        return self
+
+    def corner_opacity(self) -> np.ndarray:
+        """Return the corners' opacities (T,3) float32 in [0,1]."""
+        return torch.sigmoid(self.opacity.detach()).cpu().numpy()
+
+
+def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
+    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases (DiffSoup `multires.py`)."""
+    draws = stream(seed, "mlp")
+    tensors = []
+    for shape in MLP_SHAPES:
+        if len(shape) == 1:
+            tensors.append(torch.zeros(shape))
+            continue
+        outputs, inputs = shape
+        bound = np.sqrt(6.0 / inputs) if outputs == 16 else np.sqrt(6.0 / (inputs + outputs))
+        tensors.append(torch.from_numpy(draws.uniform(-bound, bound, shape).astype(np.float32)))
+    return tuple(tensors)
+
+
+def save_soup(path: Path | str, soup: Soup) -> None:
+    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically. Raises InputError when not writable."""
+    arrays = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
+    arrays |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
+    with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:
+        np.savez_compressed(handle, **{name: tensor.detach().cpu().numpy() for name, tensor in arrays.items()})
+
+
+def load_soup(path: Path | str) -> Soup:
+    """Read a soup that `save_soup` wrote. Raises InputError when the file is missing, damaged or no soup."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
+    try:
+        with np.load(path) as data:
+            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in ("vertices", "features", "opacity")]
+            mlp = tuple(torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES)))
+    except Exception as error:  # numpy raises many kinds for a damaged archive
+        raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
+    count = len(tensors[0])
+    shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]
+    if count == 0 or shapes != [(count, 3, 3), (count, 3, 7), (count, 3), *MLP_SHAPES]:
+        raise InputError(f"{path} does not hold a soup: array shapes {shapes}")
+    return Soup(*tensors, mlp)

@@ -1,0 +1,93 @@
+"""Where a photometric step is computed: the numba kernels on the CPU, or the plain-torch twin on a GPU.
+
+Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the loss.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from paper_artifact.errors import InputError
+from paper_artifact.raster import functions
+from paper_artifact.scene.load import Scene
+from paper_artifact.soup.state import Soup
+
+
+class CpuBackend:
+    """Numba kernels; targets are kept planar with their SSIM statistics, float32."""
+
+    def __init__(self, scene: Scene, views: np.ndarray) -> None:
+        self._row = {int(view): row for row, view in enumerate(views)}
+        self._targets = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2), np.float32))
+        self._mean, self._square = functions.target_statistics(self._targets)
+        self._matrices, self._background = scene.world_to_clip, scene.background
+        self._buffers = functions.RasterBuffers()
+
+    def to_device(self, soup: Soup) -> Soup:
+        """Return the soup itself: it lives on the CPU."""
+        return soup
+
+    to_host = to_device
+
+    def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
+        """Add the batch's gradients to the soup's tensors and return the loss; views are scene view indices, one draw key each."""
+        rows = [self._row[int(view)] for view in views]
+        target = self._targets[rows]
+        opacity = torch.sigmoid(soup.opacity)
+        raster = functions.rasterize(soup.vertices, opacity, self._matrices[views], *target.shape[2:], keys, self._buffers)
+        colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, self._background)
+        auxiliary = functions.opacity_gradient(opacity, colour, target, raster)
+        colour = functions.edge_gradient(colour, soup.vertices, raster)
+        loss = functions.photometric_loss(colour, target, (self._mean[rows], self._square[rows]))
+        (loss + auxiliary).backward()
+        return loss.item()
+
+
+class TwinBackend:
+    """Plain torch on any device and in any float dtype; the CUDA path."""
+
+    def __init__(self, scene: Scene, views: np.ndarray, device: str, dtype: torch.dtype = torch.float32) -> None:
+        self._device, self._dtype = torch.device(device), dtype
+        self._row = {int(view): row for row, view in enumerate(views)}
+        self._targets = torch.from_numpy(scene.images[views].transpose(0, 3, 1, 2)).to(self._device, dtype)
+        self._matrices = torch.from_numpy(scene.world_to_clip).to(self._device, dtype)
+        self._background = torch.as_tensor(scene.background).to(self._device, dtype)
+
+    def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
+        tensors = [tensor.detach().to(device, dtype).clone() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)]
+        return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+
+    def to_device(self, soup: Soup) -> Soup:
+        """Return a copy of the soup on this backend's device and dtype."""
+        return self._moved(soup, self._device, self._dtype)
+
+    def to_host(self, soup: Soup) -> Soup:
+        """Return a float32 copy of the soup on the CPU."""
+        return self._moved(soup, torch.device("cpu"), torch.float32)
+
+    def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
+        """As `CpuBackend.photometric_step`."""
+        from paper_artifact.raster import twin
+
+        target = self._targets[[self._row[int(view)] for view in views]]
+        matrices = self._matrices[torch.as_tensor(views, device=self._device)]
+        opacity = torch.sigmoid(soup.opacity)
+        raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
+        colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, self._background)
+        auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
+        colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
+        loss = twin.photometric_loss(colour, target)
+        (loss + auxiliary).backward()
+        return loss.item()
+
+
+def backend_for(device: str, scene: Scene, views: np.ndarray):
+    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError for anything else, or no such device."""
+    if device not in ("cpu", "cuda", "auto"):
+        raise InputError(f"unknown device {device!r}; choose cpu, cuda or auto")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("no CUDA device here; use --device cpu (or auto)")
+    if device == "cpu" or not torch.cuda.is_available():
+        return CpuBackend(scene, views)
+    return TwinBackend(scene, views, "cuda")
