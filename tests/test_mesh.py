@@ -1,0 +1,149 @@
+"""Meshes: exact welding, polygons, scene files, and every input that must be refused with a clear sentence."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import trimesh
+
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import checked_mesh, face_areas, load_mesh, weld
+
+
+def open_edges(faces: np.ndarray) -> int:
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return int((np.unique(edges, axis=0, return_counts=True)[1] == 1).sum())
+
+
+def box() -> trimesh.Trimesh:
+    return trimesh.creation.box(extents=(1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "off", "stl", "glb"])
+def test_every_common_format_gives_the_same_closed_surface(tmp_path, kind):
+    path = tmp_path / f"box.{kind}"
+    box().export(path)
+    mesh = load_mesh(path)
+    assert (len(mesh.vertices), len(mesh.faces), open_edges(mesh.faces)) == (8, 12, 0)
+    assert mesh.name == "box" and mesh.betti is None
+    assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == np.int64
+    assert mesh.diagonal == pytest.approx(np.sqrt(14)) and mesh.radius == pytest.approx(np.sqrt(14) / 2)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(6)
+
+
+def test_texture_seams_do_not_open_the_surface(tmp_path):
+    path = tmp_path / "seam.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\n"
+                    "f 1/1 3/2 2/3\nf 1/2 2/4 4/1\nf 1/3 4/1 3/4\nf 2/1 3/2 4/4\n")
+    mesh = load_mesh(path)
+    assert (len(mesh.vertices), len(mesh.faces), open_edges(mesh.faces)) == (4, 4, 0)
+
+
+def test_welding_can_be_left_out(tmp_path):
+    box().export(tmp_path / "box.stl")
+    assert len(load_mesh(tmp_path / "box.stl").vertices) == 8
+    assert len(load_mesh(tmp_path / "box.stl", welded=False).vertices) == 36
+
+
+def test_polygons_are_cut_by_the_fan(tmp_path):
+    path = tmp_path / "polygons.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 1 0\nv -1 0 0\nf 1 2 3 4 5\nf 1 5 6\n")
+    mesh = load_mesh(path)
+    assert {frozenset(face) for face in mesh.faces.tolist()} == {
+        frozenset(face) for face in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))}
+
+
+def test_the_parts_of_a_scene_file_are_placed_and_concatenated(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(box(), geom_name="a")
+    scene.add_geometry(box(), geom_name="b", transform=trimesh.transformations.translation_matrix([5, 0, 0]))
+    scene.export(tmp_path / "two.glb")
+    mesh = load_mesh(tmp_path / "two.glb")
+    assert (len(mesh.vertices), len(mesh.faces)) == (16, 24)
+    assert np.ptp(mesh.vertices[:, 0]) == pytest.approx(6)
+
+
+def test_weld_is_exact_keeps_the_order_and_drops_what_is_no_surface():
+    tiny = np.nextafter(1.0, 2.0)
+    vertices = np.array([[9, 9, 9], [1, 0, 0], [0, 0, 0], [0, 1, 0], [-0.0, 0, 0], [tiny, 0, 0], [5, 5, 5]], dtype=float)
+    faces = np.array([[2, 1, 3], [4, 3, 5], [2, 4, 1]])
+    welded, indexed = weld(vertices, faces)
+    np.testing.assert_array_equal(welded, [[1, 0, 0], [0, 0, 0], [0, 1, 0], [tiny, 0, 0]])
+    np.testing.assert_array_equal(indexed, [[1, 0, 2], [1, 2, 3]])
+
+
+def test_face_areas_against_trimesh():
+    ball = trimesh.creation.icosphere(2)
+    np.testing.assert_allclose(face_areas(ball.vertices, ball.faces), ball.area_faces, rtol=1e-12)
+
+
+PLY = ("ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+       "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n")
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+
+
+@pytest.mark.parametrize("name, content, words", [
+    ("empty.obj", b"", "is empty"),
+    ("points.obj", TRIANGLE.encode(), "no triangles"),
+    ("text.obj", b"these words are no mesh\n" * 9, "no triangles"),
+    ("noise.obj", bytes(range(256)) * 40, "noise.obj"),
+    ("noise.ply", bytes(range(256)) * 40, "damaged or no PLY mesh"),
+    ("noise.stl", bytes(range(256)) * 40, "no triangles"),
+    ("noise.off", bytes(range(256)) * 40, "noise.off"),
+    ("noise.glb", bytes(range(256)) * 40, "damaged or no GLB mesh"),
+    ("half.obj", (TRIANGLE + "f 1 2 3\nf 1 2").encode(), "cut off"),
+    ("half.off", b"OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "cut off"),
+    ("beyond.obj", (TRIANGLE + "f 1 2 7\n").encode(), "beyond.obj"),
+    ("beyond.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "outside the range"),
+    ("beyond.ply", PLY.encode(), "vertex 9 of 3"),
+    ("nan.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", "1 vertices with NaN"),
+    ("infinite.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "infinite.obj"),
+    ("flat.obj", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nv 3 3 3\nf 1 2 3\nf 2 3 4\n", "zero area"),
+    ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "zero area"),
+    ("huge.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1e200 0\nf 1 2 3\n", "too large"),
+    ("picture.png", b"\x89PNG", "no mesh format"),
+    ("no_extension", TRIANGLE.encode(), "no mesh format"),
+])
+def test_bad_files_are_refused_in_one_sentence(tmp_path, capfd, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError) as refused:
+        load_mesh(path)
+    assert words in str(refused.value) and str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", ""), "trimesh stays silent"
+
+
+@pytest.mark.parametrize("kind", ["ply", "off", "stl", "glb"])
+@pytest.mark.parametrize("fraction", [0.95, 0.5, 0.02])
+def test_truncated_files_are_refused(tmp_path, kind, fraction):
+    data = trimesh.creation.icosphere(1).export(file_type=kind)
+    data = data if isinstance(data, bytes) else data.encode()
+    path = tmp_path / f"cut.{kind}"
+    path.write_bytes(data[: int(len(data) * fraction)])
+    with pytest.raises(InputError, match="cut"):
+        load_mesh(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no mesh file at"):
+        load_mesh(tmp_path / "absent.obj")
+    with pytest.raises(InputError, match="no mesh file at"):
+        load_mesh(tmp_path)
+
+
+def test_arrays_are_checked_like_files():
+    square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    with pytest.raises(InputError, match="soup has no triangles"):
+        checked_mesh(square, np.zeros((0, 3), int), "soup")
+    with pytest.raises(InputError, match="vertex -1"):
+        checked_mesh(square, [[0, 1, -1]], "soup")
+
+
+def test_loading_leaves_the_log_level_as_it_was(tmp_path):
+    level = logging.getLogger("trimesh").level
+    box().export(tmp_path / "box.ply")
+    load_mesh(tmp_path / "box.ply")
+    assert logging.getLogger("trimesh").level == level

@@ -1,0 +1,86 @@
+"""The analytic shapes: topology against gudhi's simplicial homology, geometry against closed forms."""
+
+from __future__ import annotations
+
+import gudhi
+import numpy as np
+import pytest
+import trimesh
+
+from paper_artifact.errors import InputError
+from paper_artifact.scene.shapes import BOWL_RIMS, SHAPES, make_shape
+
+CLOSED = [name for name in SHAPES if not name.startswith("bowl")]
+DIAGONALS = {"sphere": 2 * np.sqrt(3), "cube": np.sqrt(3), "torus": np.sqrt(2 * 2.76**2 + 0.76**2),
+             "cylinder": 2 * np.sqrt(3), "two_spheres": np.sqrt(5.6**2 + 8), "double_torus": 5.318}
+
+
+def homology(faces: np.ndarray) -> tuple[int, int, int]:
+    tree = gudhi.SimplexTree()
+    tree.insert_batch(np.ascontiguousarray(faces.T), np.zeros(len(faces)))
+    tree.compute_persistence(persistence_dim_max=True)
+    betti = tree.betti_numbers()
+    return tuple((list(betti) + [0, 0, 0])[:3])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_betti_numbers_are_those_of_the_complex(name):
+    mesh = make_shape(name)
+    assert mesh.name == name
+    assert homology(mesh.faces) == mesh.betti
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_closed_oriented_outwards_with_the_known_diagonal(name):
+    mesh = make_shape(name)
+    outside = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert outside.is_watertight and outside.is_winding_consistent and outside.volume > 0
+    edges = np.unique(np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    b0, b1, b2 = mesh.betti
+    assert len(mesh.vertices) - len(edges) + len(mesh.faces) == b0 - b1 + b2
+    assert mesh.diagonal == pytest.approx(DIAGONALS[name], rel=1e-4)
+    np.testing.assert_allclose(mesh.centre, 0, atol=1e-9)
+
+
+def surface_distance(name: str, points: np.ndarray) -> np.ndarray:
+    """Signed distance of points to the smooth surface, negative inside."""
+    def torus(x, tube):
+        return np.hypot(np.hypot(points[:, 0] - x, points[:, 1]) - 1, points[:, 2]) - tube
+
+    if name == "sphere":
+        return np.linalg.norm(points, axis=1) - 1
+    if name == "two_spheres":
+        return np.minimum(*(np.linalg.norm(points - [x, 0, 0], axis=1) - 1 for x in (-1.8, 1.8)))
+    if name == "torus":
+        return torus(0, 0.38)
+    return np.minimum(torus(-1, 0.30), torus(1, 0.30))
+
+
+@pytest.mark.parametrize("name", ["sphere", "two_spheres", "torus", "double_torus"])
+def test_vertices_lie_on_the_surface_and_facets_within_a_few_ten_thousandths_of_the_diagonal(name):
+    mesh = make_shape(name)
+    np.testing.assert_allclose(surface_distance(name, mesh.vertices), 0, atol=1e-12)
+    centroids = mesh.vertices[mesh.faces].mean(axis=1)
+    assert np.abs(surface_distance(name, centroids)).max() < 2e-4 * mesh.diagonal
+
+
+def test_volumes_against_closed_forms():
+    expected = {"sphere": 4 * np.pi / 3, "cube": 1.0, "cylinder": 2 * np.pi, "torus": 2 * np.pi**2 * 0.38**2,
+                "two_spheres": 8 * np.pi / 3}
+    for name, volume in expected.items():
+        mesh = make_shape(name)
+        assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(volume, rel=2e-3)
+
+
+@pytest.mark.parametrize("name, rim", BOWL_RIMS.items())
+def test_bowls_open_at_the_top_with_the_measured_rim(name, rim):
+    mesh = make_shape(name)
+    edges, counts = np.unique(np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0, return_counts=True)
+    boundary = mesh.vertices[edges[counts == 1].reshape(-1)]
+    assert (boundary[:, 2] > 0.8).all()
+    assert np.hypot(boundary[:, 0], boundary[:, 1]).mean() == pytest.approx(rim, abs=0.03)
+
+
+def test_an_unknown_shape_names_the_known_ones():
+    with pytest.raises(InputError, match="unknown shape 'klein_bottle'; choose one of sphere, cube"):
+        make_shape("klein_bottle")
