@@ -1,0 +1,89 @@
+"""`python -m paper_artifact train SHAPE …`: scene → trained soup → record."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from dataclasses import fields
+from pathlib import Path
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import RESULTS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options on `parser`."""
+    parser.add_argument("shape", help="an analytic shape, the key of an external mesh, or a mesh file")
+    parser.add_argument("--condition", default="C0", help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=2500, help="(default: %(default)s)")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="changes",
+                        help="change any other number of the configuration, e.g. --set vertex_lr=0.006 --set budget=900")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder for record, soup, scene and checkpoint (default: results/)")
+    parser.add_argument("--device", default="auto", help="cpu, cuda or auto (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=1, help="CPU threads; the result does not depend on it (default: %(default)s)")
+    parser.add_argument("--again", action="store_true", help="run even if there is a record of this configuration")
+
+
+def parse_changes(changes: list[str]) -> dict:
+    """Return {name: value} of NAME=VALUE texts; values are Python literals, else text. Raises InputError without an equals sign."""
+    parsed = {}
+    for change in changes:
+        name, equals, text = change.partition("=")
+        if not equals or not name:
+            raise InputError(f"--set takes NAME=VALUE, got {change!r}")
+        try:
+            parsed[name] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            parsed[name] = text
+    return parsed
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train (or find the record) and print the result. Returns 0; InputError goes to the caller."""
+    import torch
+    from tqdm import tqdm
+
+    from paper_artifact.raster.threads import set_thread_count
+    from paper_artifact.record.record import record_path
+    from paper_artifact.train.config import RunConfig, default_config
+    from paper_artifact.train.loop import TrainingError
+    from paper_artifact.train.run import run as run_config
+
+    changes = parse_changes(arguments.changes)
+    kinds = {field.name: field.type for field in fields(RunConfig)}
+    for name, value in changes.items():
+        if kinds.get(name) == "float" and isinstance(value, int):
+            changes[name] = float(value)
+        elif kinds.get(name) == "int" and not isinstance(value, int) or kinds.get(name) == "float" and not isinstance(value, float):
+            raise InputError(f"--set {name} takes a number of kind {kinds[name]}, got {value!r}")
+    config = default_config(arguments.shape, condition=arguments.condition, seed=arguments.seed, steps=arguments.steps, **changes)
+    if arguments.threads < 1:
+        raise InputError(f"--threads must be at least 1, got {arguments.threads}")
+    set_thread_count(arguments.threads)
+    torch.set_num_threads(1)
+    with tqdm(total=config.steps, disable=arguments.quiet, desc=f"{arguments.shape} {config.condition}: compiling, scene",
+              unit="step") as bar:
+        def progress(step: int, text: str) -> None:
+            bar.set_description(f"{arguments.shape} {config.condition}: {text}", refresh=False)
+            bar.update(step - bar.n)
+
+        try:
+            record = run_config(config, results=arguments.results, progress=progress, device=arguments.device, again=arguments.again)
+        except TrainingError as error:
+            raise InputError(str(error)) from error
+    summary(record)
+    print(f"record: {record_path(record['config'], arguments.results / 'runs')}")
+    return 0
+
+
+def summary(record: dict) -> None:
+    """Print a record's main numbers, one line."""
+    tails, images, dimension = record["tails"], record["images"], record["mesh"]["dimension"]
+    parts = [f"{record['config']['shape']} {record['config']['condition']} seed {record['config']['seed']}"]
+    if tails:
+        parts += [f"tail bottleneck H{dimension} {tails['bottleneck'][dimension]:.4f}", f"counts {tuple(tails['counts'])}",
+                  f"Chamfer {100 * tails['chamfer']:.3f} %"]
+    parts += [f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}", f"{record['soup']['triangles']} triangles",
+              f"{record['cpu_seconds']:.0f} s of CPU"]
+    print("; ".join(parts))
