@@ -145,5 +145,6 @@ def outcome_table(outcomes: Sequence[Outcome]) -> str:
     for outcome in outcomes:
         minutes, seconds = divmod(outcome.seconds, 60)
         error = outcome.error if len(outcome.error) <= 160 else outcome.error[:157] + "..."
-        lines.append(f"{outcome.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {'FAILED: ' + error if outcome.error else 'ok'}")
+        status = f"FAILED: {error}" if error else "ok"
+        lines.append(f"{outcome.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {status}")
     return "\n".join(lines)

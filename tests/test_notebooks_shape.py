@@ -64,7 +64,8 @@ def test_outputs_are_clean(notebook):
         for output in cell.outputs:
             assert output.output_type != "error"
             assert output.get("name") != "stderr", "bars and warnings differ from run to run: use --quiet, fix the warning"
-            texts = [output.get("text", ""), *(value for kind, value in output.get("data", {}).items() if kind.startswith("text/"))]
+            data = output.get("data", {})
+            texts = [output.get("text", ""), *(value for kind, value in data.items() if kind.startswith("text/"))]
             assert not [text for text in texts if MACHINE_PATH.search(text)], "a path of one machine"
 
 

@@ -78,9 +78,9 @@ class Setup:
 
     def run(self, *arguments: str, script: str = "test.sh", **variables: str) -> subprocess.CompletedProcess[str]:
         self.log.write_text("")
-        return subprocess.run([str(self.bin / "bash"), str(self.root / script), *arguments], capture_output=True, text=True, timeout=60,
-                              cwd=self.bin, env={"PATH": str(self.bin), "STUB_LOG": str(self.log), "STUB_SOURCE": str(self.source),
-                                                 "HOME": str(self.root), **variables})
+        environment = {"PATH": str(self.bin), "HOME": str(self.root), "STUB_LOG": str(self.log), "STUB_SOURCE": str(self.source)}
+        return subprocess.run([str(self.bin / "bash"), str(self.root / script), *arguments], cwd=self.bin, timeout=60,
+                              env={**environment, **variables}, capture_output=True, text=True)
 
     def calls(self) -> list[str]:
         return self.log.read_text().splitlines()
