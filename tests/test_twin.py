@@ -1,0 +1,326 @@
+"""The torch twin against outside references: ray casting, scipy, finite differences, closed forms, plain loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.special
+import scipy.stats
+import torch
+import trimesh
+from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
+
+from paper_artifact.errors import InputError
+from paper_artifact.raster import draws, twin
+
+KEYS = [draws.view_key(3, 5, view) for view in range(3)]
+
+
+def opaque(vertices: torch.Tensor) -> torch.Tensor:
+    return torch.ones(vertices.shape[:2], dtype=vertices.dtype)
+
+
+def random(seed: int, *shape: int) -> torch.Tensor:
+    return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def test_numba_and_torch_draw_the_same_bits_and_they_are_uniform():
+    rng = np.random.default_rng(0)
+    pixel, triangle = rng.integers(0, 65536, 4000), rng.integers(0, 6000, 4000)
+    key = draws.view_key(7, 2500, 71)
+    ours = draws.draw_torch(key, torch.from_numpy(pixel), torch.from_numpy(triangle)).numpy()
+    kernel = [draws.draw(np.uint32(key), np.uint32(p), np.uint32(t)) for p, t in zip(pixel, triangle)]
+    assert np.array_equal(ours, np.array(kernel, dtype=np.float64))
+    neighbours = draws.draw_torch(key, torch.arange(20000), torch.full((20000,), 12)).numpy()
+    for sample in (ours, neighbours):
+        assert scipy.stats.kstest(sample, "uniform").pvalue > 1e-3
+    assert abs(np.corrcoef(neighbours[:-1], neighbours[1:])[0, 1]) < 0.03
+
+
+def test_coverage_and_depth_agree_with_ray_casting():
+    vertices = soup(1, 60)["vertices"]
+    centre, size = np.array([2.4, -2.9, 1.3]), 40
+    matrix = torch.from_numpy(look_at(centre))[None]
+    raster = twin.rasterize(vertices, opaque(vertices), matrix, size, size, None)
+    directions = -twin.view_directions(matrix, size, size).reshape(-1, 3).numpy()
+    mesh = trimesh.Trimesh(vertices.reshape(-1, 3).numpy(), np.arange(180).reshape(-1, 3), process=False)
+    caster = trimesh.ray.ray_triangle.RayMeshIntersector(mesh)
+    hits, ray, index = caster.intersects_location(np.tile(centre, (size * size, 1)), directions, multiple_hits=False)
+    expected, depth = np.zeros(size * size, int), np.zeros(size * size)
+    expected[ray] = index + 1
+    clip = np.c_[hits, np.ones(len(hits))] @ matrix[0].numpy().T
+    depth[ray] = clip[:, 2] / clip[:, 3]
+    ours = raster.triangle.reshape(-1).numpy()
+    assert 0.2 < (ours > 0).mean() < 0.9
+    assert (ours != expected).mean() < 0.005
+    same = (ours == expected) & (ours > 0)
+    assert np.allclose(raster.depth.reshape(-1).numpy()[same], depth[same], atol=1e-9)
+    b0, b1 = raster.b0.reshape(-1).numpy()[ray], raster.b1.reshape(-1).numpy()[ray]
+    corners = vertices.numpy()[index]
+    points = b0[:, None] * corners[:, 0] + b1[:, None] * corners[:, 1] + (1 - b0 - b1)[:, None] * corners[:, 2]
+    assert np.allclose(points[same[ray]], hits[same[ray]], atol=1e-9)
+
+
+def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent():
+    case, matrices = soup(2, 50), cameras(2, 3)
+    case["vertices"][0] *= 100  # one corner behind every camera, or all of it beyond a plane
+    case["vertices"][1, 2] = case["vertices"][1, 1]  # no area
+    raster = twin.rasterize(case["vertices"], case["opacity"], matrices, 24, 20, KEYS)
+    assert not (raster.fragment_triangle == 1).any()
+    best: dict[tuple[int, int], tuple[float, int]] = {}
+    survived = 0
+    for view, pixel, triangle, depth, b0, b1, alpha in zip(*(part.tolist() for part in (
+            raster.fragment_view, raster.fragment_pixel, raster.fragment_triangle, raster.fragment_depth,
+            raster.fragment_b0, raster.fragment_b1, raster.fragment_alpha))):
+        corner = case["opacity"][triangle]
+        assert alpha == pytest.approx(float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12)
+        if alpha >= float(draws.draw(np.uint32(KEYS[view]), np.uint32(pixel), np.uint32(triangle))):
+            survived += 1
+            best[view, pixel] = min(best.get((view, pixel), (2.0, 0)), (depth, triangle + 1))
+    assert 0.3 < survived / len(raster.fragment_view) < 0.7
+    expected = np.zeros((3, 480), int)
+    for (view, pixel), (_, triangle) in best.items():
+        expected[view, pixel] = triangle
+    assert np.array_equal(raster.triangle.reshape(3, -1).numpy(), expected)
+
+
+def test_tie_in_depth_goes_to_the_smaller_triangle_and_threshold_is_one_half_without_keys():
+    vertices = torch.tensor([[-9.0, -9, 0], [9, -9, 0], [0, 15, 0]], dtype=torch.float64).expand(3, 3, 3)
+    opacity = torch.tensor([0.49, 0.5, 0.9], dtype=torch.float64)[:, None].expand(3, 3)
+    raster = twin.rasterize(vertices, opacity, front_camera(), 8, 8, None)
+    assert (raster.triangle == 2).all()
+    assert len(raster.fragment_view) == 3 * 64
+
+
+def test_view_directions_point_at_the_camera():
+    centre = np.array([1.5, -3.0, 2.0])
+    matrix = torch.from_numpy(look_at(centre))
+    directions = twin.view_directions(matrix[None], 7, 9)[0].numpy()
+    inverse = np.linalg.inv(matrix.numpy())
+    for row in range(7):
+        for column in range(9):
+            point = inverse @ np.array([(2 * column + 1) / 9 - 1, (2 * row + 1) / 7 - 1, 0.3, 1.0])
+            towards = centre - point[:3] / point[3]
+            assert np.allclose(directions[row, column], towards / np.linalg.norm(towards), atol=1e-12)
+
+
+def test_spherical_harmonics_agree_with_scipy():
+    directions = np.random.default_rng(1).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    polar, azimuth = np.arccos(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
+    expected = []
+    for degree in range(3):
+        for order in range(-degree, degree + 1):
+            value = scipy.special.sph_harm_y(degree, abs(order), polar, azimuth)
+            expected.append(value.real if order == 0 else np.sqrt(2) * (value.real if order > 0 else value.imag))
+    ours = twin.spherical_harmonics(torch.from_numpy(directions)).numpy()
+    assert np.allclose(ours, np.stack(expected, axis=1), atol=1e-12)
+
+
+def test_shading_of_one_pixel_by_hand_and_background_elsewhere():
+    case, weights, matrices = soup(3, 20), mlp(3), cameras(3, 2)
+    raster = twin.rasterize(case["vertices"], opaque(case["vertices"]), matrices, 20, 24, None)
+    background = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    image = twin.shade(case["features"], weights, raster, matrices, background)
+    assert image.shape == (2, 3, 20, 24)
+    empty = raster.triangle == 0
+    assert torch.equal(image.permute(0, 2, 3, 1)[empty], background.expand(int(empty.sum()), 3))
+    view, row, column = torch.nonzero(raster.triangle)[37].tolist()
+    b0, b1 = raster.b0[view, row, column], raster.b1[view, row, column]
+    corner = case["features"][raster.triangle[view, row, column] - 1]
+    f = b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]
+    direction = twin.view_directions(matrices, 20, 24)[view, row, column]
+    x = torch.cat([f, twin.spherical_harmonics(direction)])
+    for matrix, bias in (weights[0:2], weights[2:4]):
+        x = (matrix @ x + bias).clamp(min=0)
+    y = 1 / (1 + torch.exp(-(weights[4] @ x + weights[5])))
+    assert torch.allclose(image[view, :, row, column], (1 - f[3]) * f[:3] + f[3] * y, atol=1e-12)
+
+
+def test_shading_and_loss_gradients_agree_with_finite_differences():
+    case, matrices = soup(4, 6, size=1.0), cameras(4, 2)
+    raster = twin.rasterize(case["vertices"], opaque(case["vertices"]), matrices, 12, 13, None)
+    background, target = random(4, 3), random(5, 2, 3, 12, 13)
+    inputs = tuple(part.clone().requires_grad_() for part in (case["features"], *mlp(4)))
+
+    def loss(features, *weights):
+        return twin.photometric_loss(twin.shade(features, weights, raster, matrices, background), target)
+
+    assert torch.autograd.gradcheck(loss, inputs, fast_mode=True)
+    assert torch.autograd.gradcheck(lambda f, *m: twin.shade(f, m, raster, matrices, background), inputs, fast_mode=True)
+
+
+def test_photometric_loss_agrees_with_a_plain_double_loop():
+    rng = np.random.default_rng(5)
+    colour, target = rng.uniform(size=(2, 3, 14, 13)), rng.uniform(size=(2, 3, 14, 13))
+    target = 0.5 * (target + colour)
+    gauss = np.exp(-((np.arange(11) - 5.0) ** 2) / 4.5)
+    window = np.outer(gauss, gauss) / gauss.sum() ** 2
+    values = []
+    for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13)):
+        for row in range(4):
+            for column in range(3):
+                a, b = image[row:row + 11, column:column + 11], truth[row:row + 11, column:column + 11]
+                ma, mb = (window * a).sum(), (window * b).sum()
+                va, vb = (window * (a - ma) ** 2).sum(), (window * (b - mb) ** 2).sum()
+                cov = (window * (a - ma) * (b - mb)).sum()
+                values.append((2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4)))
+    expected = 0.8 * np.abs(colour - target).mean() + 0.1 * (1 - np.mean(values))
+    ours = twin.photometric_loss(torch.from_numpy(colour), torch.from_numpy(target))
+    assert float(ours) == pytest.approx(expected, abs=1e-12)
+    assert float(twin.photometric_loss(torch.from_numpy(colour), torch.from_numpy(colour))) == pytest.approx(0, abs=1e-12)
+
+
+def test_opacity_gradient_agrees_with_a_plain_loop_and_its_value_is_zero():
+    case, matrices = soup(6, 40), cameras(6, 3)
+    opacity = case["opacity"].clone().requires_grad_()
+    raster = twin.rasterize(case["vertices"], case["opacity"], matrices, 18, 16, KEYS)
+    colour, target = random(6, 2, 3, 3, 18, 16)
+    value = twin.opacity_gradient(opacity, colour, target, raster)
+    assert value.item() == 0.0
+    (3 * value).backward()
+    expected = np.zeros((40, 3))
+    for fragment in range(len(raster.fragment_view)):
+        view, pixel = int(raster.fragment_view[fragment]), int(raster.fragment_pixel[fragment])
+        triangle, row, column = int(raster.fragment_triangle[fragment]), pixel // 16, pixel % 16
+        shown = int(raster.triangle[view, row, column]) - 1
+        if shown >= 0 and raster.fragment_depth[fragment] > raster.depth[view, row, column]:
+            continue
+        error = float((colour - target)[view, :, row, column].abs().sum())
+        alpha = float(raster.fragment_alpha[fragment])
+        factor = error / max(alpha, 1e-5) if shown == triangle else -error / max(1 - alpha, 1e-5)
+        b0, b1 = float(raster.fragment_b0[fragment]), float(raster.fragment_b1[fragment])
+        expected[triangle] += 3 * factor * np.array([b0, b1, 1 - b0 - b1]) / (3 * 18 * 16 * 3)
+    assert np.allclose(opacity.grad.numpy(), expected, rtol=1e-9, atol=1e-15)
+    assert np.abs(expected).max() > 1e-3
+
+
+def flat_colours(raster: twin.Raster, palette: torch.Tensor) -> torch.Tensor:
+    """Return (B,3,H,W): row k of palette (T+1,3) wherever triangle k (0: background) is seen."""
+    return palette[raster.triangle].permute(0, 3, 1, 2)
+
+
+def edge_gradient_of(vertices, opacity, matrices, palette, weights) -> torch.Tensor:
+    """Return the edge gradient (T,3,3) of L = Σ weights·colour for constant-colour triangles."""
+    vertices = vertices.clone().requires_grad_()
+    raster = twin.rasterize(vertices.detach(), opacity, matrices, *weights.shape[2:], None)
+    colour = twin.edge_gradient(flat_colours(raster, palette), vertices, raster, matrices)
+    (colour * weights).sum().backward()
+    return vertices.grad
+
+
+PALETTE = torch.tensor([[1.0, 1.0, 1.0], [0.2, 0.6, 0.1], [0.9, 0.1, 0.5]], dtype=torch.float64)
+
+
+def test_half_plane_moves_the_loss_by_colour_difference_times_edge_length_times_pixels_per_unit():
+    size, distance, focal = 50, 4.0, 1.8
+    vertices = torch.tensor([[[0.313, -40.0, 0.0], [0.313, 40.0, 0.0], [-60.0, 0.0, 0.0]]], dtype=torch.float64)
+    weights = torch.tensor([0.7, -0.2, 1.1], dtype=torch.float64)[None, :, None, None].expand(1, 3, size, size)
+    gradient = edge_gradient_of(vertices, opaque(vertices), front_camera(distance, focal), PALETTE[:2], weights)
+    pixels_per_unit = focal / distance * size / 2
+    difference = float((weights[0, :, 0, 0] * (PALETTE[1] - PALETTE[0])).sum())
+    assert float(gradient[0, :, 0].sum()) == pytest.approx(difference * size * pixels_per_unit, rel=1e-9)
+    assert float(gradient[0, :, 1].abs().sum()) == pytest.approx(0, abs=1e-9)
+    # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 / distance per unit.
+    assert float(gradient[0, :, 2].sum()) == pytest.approx(-difference * size * pixels_per_unit * 0.313 / distance, rel=1e-9)
+
+
+FLOATING = [[-0.9, -0.8, -0.5], [0.8, -0.3, 0.1], [-0.1, 0.9, -0.2]]
+WALL = [[-60.0, -60.0, 0.4], [60.0, -60.0, 0.4], [0.0, 90.0, 0.4]]
+SCENES = {
+    "border": [FLOATING, WALL],
+    "opacity": [FLOATING, WALL],
+    "slanted crossing": [[[-4.0, -5.0, -2.2], [4.0, -6.0, 0.0], [-1.0, 9.0, 1.5]],
+                         [[-9.0, -9.0, 1.35], [9.0, -9.0, -0.45], [0.0, 15.0, -0.75]]],
+    "upright crossing": [[[-6.0, -5.0, -1.5], [6.0, -6.0, 1.5], [0.0, 9.0, 0.0]],
+                         [[-9.0, -9.0, 1.0], [9.0, -9.0, -0.8], [0.0, 15.0, 0.1]]],
+}
+
+
+def project(points: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+    clip = points @ matrix[:, :3].T + matrix[:, 3]
+    return clip[..., :3] / clip[..., 3:]
+
+
+def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> torch.Tensor:
+    """Return the outline (k,2) in NDC of where triangle 0 of the scene is seen, as a function of the NDC corners (2,3,3)."""
+    if edge == "border":
+        return ndc[0, :, :2]
+    if edge == "opacity":  # the line alpha = .5 cuts the sides 01 and 02
+        return torch.stack([alpha_edge[0], ndc[0, 1, :2], ndc[0, 2, :2], alpha_edge[1]])
+    planes = torch.linalg.solve(torch.cat([ndc[..., :2], torch.ones_like(ndc[..., :1])], dim=-1), ndc[..., 2])
+    along_x, along_y, constant = planes[0] - planes[1]
+    assert along_x.item() > 0  # triangle 0 is the nearer one on the left
+    low, high = (along_y - constant) / along_x, -(along_y + constant) / along_x
+    assert max(abs(low.item()), abs(high.item())) < 1
+    corner = -torch.ones_like(low)
+    return torch.stack([torch.stack(pair) for pair in ((corner, corner), (low, corner), (high, -corner), (corner, -corner))])
+
+
+@pytest.mark.parametrize("edge", list(SCENES))
+def test_vertex_gradients_agree_with_the_derivative_of_the_exact_integral(edge):
+    """L = Σ linear weights · constant colours; the picture without pixels is a polygon whose integral is a closed form.
+
+    At a crossing line that is slanted in the image DiffSoup pushes z once for the row neighbours and once for the column
+    neighbours, so z counts about twice there: only x and y are compared on that line.
+    """
+    size, matrix = 256, front_camera(focal=2.6)[0]
+    vertices = torch.tensor(SCENES[edge], dtype=torch.float64)
+    opacity = opaque(vertices)
+    if edge == "opacity":
+        opacity[0] = torch.tensor([0.1, 0.9, 0.75], dtype=torch.float64)
+    centre = torch.arange(size, dtype=torch.float64) + 0.5
+    slope = torch.tensor([[0.01, -0.004], [0.0, 0.02], [-0.013, 0.003]], dtype=torch.float64)
+    weights = 1 + slope[:, 0, None, None] * centre[None, None, :] + slope[:, 1, None, None] * centre[None, :, None]
+    gradient = edge_gradient_of(vertices, opacity, matrix[None], PALETTE, weights[None])
+
+    moved = vertices.clone().requires_grad_()
+    part = torch.tensor([0.5, 0.4 / 0.65], dtype=torch.float64)[:, None]
+    alpha_edge = project(moved[0, 0] + part * (moved[0, 1:] - moved[0, 0]), matrix)[:, :2]
+    ndc = project(moved, matrix)
+    outline = (visible_outline(edge, ndc, alpha_edge) + 1) * size / 2
+    assert outline.min().item() >= 0 and outline.max().item() <= size
+    one, two = outline[1:-1] - outline[0], outline[2:] - outline[0]
+    area = (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2
+    centroid = (outline[0] + outline[1:-1] + outline[2:]) / 3
+    integral = (area * (1 + slope @ centroid.T)).sum(1) * torch.sign(area.detach().sum())
+    assert area.sum().abs().item() > 4000
+    ((PALETTE[1] - PALETTE[2]) * integral).sum().backward()
+    axes = slice(0, 2 if edge == "slanted crossing" else 3)
+    expected, found = moved.grad[..., axes], gradient[..., axes]
+    assert ((found - expected).abs().max() / expected.abs().max()).item() < 0.02
+
+
+def test_colour_gradient_passes_through_the_edge_gradient_unchanged():
+    case, matrices = soup(8, 12), cameras(8, 2)
+    raster = twin.rasterize(case["vertices"], case["opacity"], matrices, 15, 15, None)
+    colour, weights = random(8, 2, 3, 15, 15).requires_grad_(), random(9, 2, 3, 15, 15)
+    image = twin.edge_gradient(colour, case["vertices"].requires_grad_(), raster, matrices)
+    assert torch.equal(image, colour)
+    (image * weights).sum().backward()
+    assert torch.equal(colour.grad, weights)
+    assert torch.isfinite(case["vertices"].grad).all() and case["vertices"].grad.abs().max() > 0
+
+
+def test_empty_soup_and_empty_view_give_background_and_zero_gradients():
+    vertices = torch.zeros(0, 3, 3, dtype=torch.float64, requires_grad=True)
+    matrices = cameras(9, 2)
+    raster = twin.rasterize(vertices.detach(), torch.zeros(0, 3, dtype=torch.float64), matrices, 12, 12, KEYS[:2])
+    assert not raster.triangle.any()
+    background = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    image = twin.shade(torch.zeros(0, 3, 7, dtype=torch.float64), mlp(0), raster, matrices, background)
+    assert torch.equal(image, background[None, :, None, None].expand(2, 3, 12, 12))
+    twin.edge_gradient(image, vertices, raster, matrices).sum().backward()
+    assert vertices.grad.shape == (0, 3, 3)
+
+
+def test_bad_shapes_are_named():
+    case, matrices = soup(1, 3), cameras(1, 2)
+    with pytest.raises(InputError, match="opacity"):
+        twin.rasterize(case["vertices"], case["opacity"][:2], matrices, 8, 8, None)
+    with pytest.raises(InputError, match="world_to_clip"):
+        twin.rasterize(case["vertices"], case["opacity"], matrices.float(), 8, 8, None)
+    with pytest.raises(InputError, match="keys"):
+        twin.rasterize(case["vertices"], case["opacity"], matrices, 8, 8, [1])
+    with pytest.raises(InputError, match="11"):
+        twin.photometric_loss(torch.zeros(1, 3, 10, 20), torch.zeros(1, 3, 10, 20))
