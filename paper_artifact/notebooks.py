@@ -143,7 +143,7 @@ def outcome_table(outcomes: Sequence[Outcome]) -> str:
     width = max([len("notebook"), *(len(outcome.name) for outcome in outcomes)])
     lines = [f"{'notebook':<{width}}  {'time':>8}  status"]
     for outcome in outcomes:
-        minutes, seconds = divmod(outcome.seconds, 60)
+        minutes, seconds = divmod(round(outcome.seconds, 1), 60)
         error = outcome.error if len(outcome.error) <= 160 else outcome.error[:157] + "..."
         status = f"FAILED: {error}" if error else "ok"
         lines.append(f"{outcome.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {status}")
