@@ -81,8 +81,8 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     """Write the COLMAP scene of `mesh` to `folder` and return the folder.
 
     Contents: images/view_000.png …, sparse/0/{cameras,images,points3D}.bin, ground_truth.npz (the mesh, float64 world
-    units), scene.json (name, configuration, hashes, background, bounding sphere). All or nothing: built in a temporary folder beside
-    and renamed. A folder that already holds this very scene is returned as it is. `progress` shows a bar.
+    units), scene.json (name, configuration, hashes, background, bounding sphere). All or nothing: built in a temporary
+    folder beside and renamed. A folder that already holds this very scene is returned as it is. `progress` shows a bar.
 
     Raises InputError when the folder holds anything else or cannot be written.
     """
@@ -102,7 +102,8 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
             if not _holds(folder, key, config.views):  # another process may have built the same scene meanwhile
                 raise
     except OSError as error:
-        raise InputError(f"cannot write the scene to {folder}: {error.strerror}; choose a folder that you can write to") from error
+        raise InputError(f"cannot write the scene to {folder}: {error.strerror}; "
+                         "choose a folder that you can write to") from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)

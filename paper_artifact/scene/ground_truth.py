@@ -31,12 +31,14 @@ def render_ground_truth(mesh: Mesh, camera: Camera, background: np.ndarray, supe
     clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]
     height, width = camera.height * supersample, camera.width * supersample
     triangle, b0, b1, _ = rasterize_opaque(clip.astype(np.float32), mesh.faces.astype(np.int32), height, width)
-    covered = triangle > 0
-    corner = mesh.vertices.astype(np.float32)[mesh.faces[triangle[covered] - 1]]
-    first, second = b0[covered][:, None], b1[covered][:, None]
+    covered = np.flatnonzero(triangle)
+    corner = mesh.vertices.astype(np.float32)[mesh.faces[triangle.reshape(-1)[covered] - 1]]
+    first, second = b0.reshape(-1)[covered, None], b1.reshape(-1)[covered, None]
     positions = corner[:, 2] + first * (corner[:, 0] - corner[:, 2]) + second * (corner[:, 1] - corner[:, 2])
-    samples = np.empty((height, width, 3), dtype=np.float32)
-    samples[:] = background
-    samples[covered] = mesh_texture(positions, mesh, texture_frequency)
-    boxes = samples.reshape(camera.height, supersample, camera.width, supersample, 3)
-    return boxes.mean(axis=(1, 3), dtype=np.float32)
+    colours = mesh_texture(positions, mesh, texture_frequency)
+    pixel = covered // width // supersample * camera.width + covered % width // supersample
+    pixels = camera.height * camera.width
+    missed = supersample**2 - np.bincount(pixel, minlength=pixels)
+    sums = np.stack([np.bincount(pixel, colours[:, channel], pixels) for channel in range(3)], axis=1)
+    image = (sums + missed[:, None] * background) / supersample**2
+    return image.reshape(camera.height, camera.width, 3).astype(np.float32)

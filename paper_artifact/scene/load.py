@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,8 +45,8 @@ class Scene:
 def load_scene(path: Path | str) -> Scene:
     """Read the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
 
-    Background and radius come from scene.json where there is one; else the background is white and the radius half the diagonal of the
-    cloud's central 98 % box. Transparent pixels are composited over the background.
+    Background and radius come from scene.json where there is one; else the background is white and the radius half the
+    diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
 
     Raises InputError for missing or damaged files, images of unequal size or of another aspect than their camera,
     fewer than two views, an SfM cloud of fewer than four points.
@@ -89,13 +91,13 @@ def load_ground_truth(path: Path | str) -> Mesh:
     """
     file = Path(path) / GROUND_TRUTH
     if not file.is_file():
-        raise InputError(f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know their surface")
+        raise InputError(f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
+                         "their surface; make one of a mesh")
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        # Opened here, because numpy leaves the file open when it is no sound archive.
+        with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as stored:
             vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise InputError(f"{file} is damaged ({error}); remove the scene's folder and build it again") from error
-    except Exception as error:  # zipfile.BadZipFile and zlib.error, which numpy lets through
+    except (OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{file} is damaged ({error}); remove the scene's folder and build it again") from error
     known = tuple(int(value) for value in betti)
     return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)

@@ -1,0 +1,144 @@
+"""COLMAP models: text ↔ binary round trips, files as COLMAP writes them, damaged files."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from paper_artifact.errors import InputError
+from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, write_model
+
+finite = st.floats(-1e6, 1e6)
+positive = st.floats(1e-3, 1e6)
+pixels = st.integers(1, 10**6)
+pinholes = st.builds(lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)),
+                     pixels, pixels, positive, positive, finite, finite)
+simple = st.builds(lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)),
+                   pixels, pixels, positive, finite, finite)
+names = st.text(st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20).filter(
+    lambda name: name == name.strip())
+quaternions = st.tuples(finite, finite, finite, finite).filter(any)
+
+
+@st.composite
+def models(draw) -> Model:
+    cameras = draw(st.dictionaries(st.integers(1, 1000), pinholes | simple, min_size=1, max_size=3))
+    poses = st.builds(Pose, names, st.sampled_from(sorted(cameras)), quaternions, st.tuples(finite, finite, finite))
+    images = draw(st.dictionaries(st.integers(1, 10**6), poses, max_size=4))
+    count = draw(st.integers(0, 5))
+    rows = draw(st.lists(st.tuples(finite, finite, finite, positive), min_size=count, max_size=count))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    colours = draw(st.lists(st.integers(0, 255), min_size=3 * count, max_size=3 * count))
+    return Model(cameras, images, np.arange(count) + draw(st.integers(1, 10**9)), table[:, :3],
+                 np.array(colours, dtype=np.uint8).reshape(-1, 3), table[:, 3])
+
+
+def assert_equal(first: Model, second: Model) -> None:
+    assert first.cameras == second.cameras and first.images == second.images
+    for field in ("point_ids", "positions", "colours", "errors"):
+        np.testing.assert_array_equal(getattr(first, field), getattr(second, field))
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(models())
+def test_text_and_binary_hold_the_same_model_exactly(tmp_path_factory, model):
+    folder = tmp_path_factory.mktemp("colmap")
+    write_model(model, folder / "text", binary=False)
+    from_text = read_model(folder / "text")
+    assert_equal(from_text, model)
+    write_model(from_text, folder / "binary")
+    from_binary = read_model(folder / "binary")
+    assert_equal(from_binary, model)
+    write_model(from_binary, folder / "again", binary=False)
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        assert (folder / "again" / name).read_text() == (folder / "text" / name).read_text()
+
+
+TEXT = {
+    "cameras.txt": "# Camera list\n1 PINHOLE 640 480 500.5 501.5 320 240\n2 SIMPLE_PINHOLE 64 48 50 32 24\n",
+    "images.txt": "# Image list\n# IMAGE_ID, ...\n7 1 0 0 0 0.1 0.2 0.3 1 b photo.png\n10.5 20.5 3 11 12 -1\n"
+                  "3 0.5 0.5 0.5 0.5 1 2 3 2 a.png\n\n",
+    "points3D.txt": "# points\n3 1.5 2.5 3.5 10 20 30 0.25 7 0 3 1\n4 0 0 1 255 0 0 1e-3\n",
+}
+
+
+def write_text(folder, **changed):
+    for name, content in (TEXT | {key.replace("_", "."): value for key, value in changed.items()}).items():
+        (folder / name).write_text(content)
+    return folder
+
+
+def test_text_as_colmap_writes_it(tmp_path):
+    model = read_model(write_text(tmp_path))
+    assert model.cameras[2] == Intrinsics("SIMPLE_PINHOLE", 64, 48, (50.0, 32.0, 24.0))
+    assert {image: pose.name for image, pose in model.images.items()} == {7: "b photo.png", 3: "a.png"}
+    np.testing.assert_array_equal(model.colours, [[10, 20, 30], [255, 0, 0]])
+    np.testing.assert_allclose(model.camera(3).rotation, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    assert (model.camera(3).focal_x, model.camera(3).focal_y, model.camera(7).focal_y) == (50, 50, 501.5)
+
+
+def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 640, 480, 500, 501, 320, 240))
+    (tmp_path / "images.bin").write_bytes(
+        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1) + b"a.png\0" + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1))
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<QQ3d3BdQii", 1, 9, 1, 2, 3, 4, 5, 6, 0.5, 1, 5, 0))
+    model = read_model(tmp_path)
+    assert model.images == {5: Pose("a.png", 1, (1, 0, 0, 0), (1, 2, 3))}
+    np.testing.assert_array_equal(model.positions, [[1, 2, 3]])
+
+
+@pytest.mark.parametrize("changed, words", [
+    ({"cameras_txt": "1 OPENCV 640 480 500 500 320 240 .1 0 0 0\n"}, "OPENCV camera; undistort first"),
+    ({"cameras_txt": "1 WIDE_ANGLE 640 480 500\n"}, "unknown camera model WIDE_ANGLE"),
+    ({"cameras_txt": "1 PINHOLE 640 480 500 500 320\n"}, "PINHOLE with 3 parameters"),
+    ({"cameras_txt": "1 PINHOLE 640 480 -5 500 320 240\n"}, "damaged"),
+    ({"cameras_txt": "hello\n"}, "damaged"),
+    ({"images_txt": "1 1 0 0 0 0 0 0 9 a.png\n\n"}, "refers to camera 9"),
+    ({"images_txt": "1 1 0 0 0 0 0\n\n"}, "damaged"),
+    ({"images_txt": "1 0 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
+    ({"images_txt": "1 nan 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
+    ({"points3D_txt": "1 0 0\n"}, "fewer than 8 values"),
+    ({"points3D_txt": "1 0 nan 0 1 1 1 0\n"}, "NaN"),
+    ({"points3D_txt": "1 0 0 0 1 1 256 0\n"}, "colour outside"),
+])
+def test_damaged_text_is_refused_with_the_file_and_the_reason(tmp_path, changed, words):
+    with pytest.raises(InputError, match=words) as refused:
+        read_model(write_text(tmp_path, **changed))
+    assert str(tmp_path) in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_binary_files_cut_anywhere_are_refused(tmp_path_factory, name, data):
+    folder = tmp_path_factory.mktemp("colmap")
+    write_model(read_model(write_text(folder)), folder)
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
+    with pytest.raises(InputError, match=name):
+        read_model(folder)
+
+
+def test_binary_with_more_bytes_or_absurd_counts_is_refused(tmp_path):
+    write_model(read_model(write_text(tmp_path)), tmp_path)
+    whole = (tmp_path / "points3D.bin").read_bytes()
+    for damaged in (whole + b"\0", struct.pack("<Q", 2**63) + whole[8:], struct.pack("<Q", 2**64 - 1)):
+        (tmp_path / "points3D.bin").write_bytes(damaged)
+        with pytest.raises(InputError, match="points3D.bin is damaged"):
+            read_model(tmp_path)
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ8d", 1, 1, 4, 640, 480, *[1.0] * 8))
+    with pytest.raises(InputError, match="OPENCV camera; undistort first"):
+        read_model(tmp_path)
+
+
+def test_missing_files_are_named(tmp_path):
+    with pytest.raises(InputError, match="no COLMAP file at .*cameras.txt"):
+        read_model(tmp_path)
+    write_text(tmp_path)
+    (tmp_path / "points3D.txt").unlink()
+    with pytest.raises(InputError, match="points3D.txt"):
+        read_model(tmp_path)

@@ -1,0 +1,224 @@
+"""Scenes on disk: build, reuse, refuse; load this package's scenes and foreign ones; the `scene` verb."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from paper_artifact.cli import scene as verb
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import Mesh
+from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder, scene_key
+from paper_artifact.scene.colmap import read_model, write_model
+from paper_artifact.scene.load import load_ground_truth, load_scene
+from paper_artifact.scene.shapes import make_shape
+
+SMALL = SceneConfig(views=10, size=24, supersample=2, points=400)
+
+
+@pytest.fixture(scope="module")
+def torus_scene(tmp_path_factory):
+    return build_scene(make_shape("torus"), SMALL, tmp_path_factory.mktemp("scene") / "torus")
+
+
+@pytest.fixture
+def damaged(torus_scene, tmp_path):
+    """A copy of the scene that a test may damage."""
+    for file in torus_scene.rglob("*"):
+        if file.is_file():
+            copy = tmp_path / "copy" / file.relative_to(torus_scene)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(file.read_bytes())
+    return tmp_path / "copy"
+
+
+def test_a_built_scene_reads_back_with_the_stated_frames(torus_scene):
+    scene, mesh = load_scene(torus_scene), make_shape("torus")
+    assert scene.names == tuple(f"view_{index:03d}.png" for index in range(10))
+    assert scene.images.shape == (10, 24, 24, 3) and scene.images.dtype == np.float32
+    assert scene.images.min() >= 0 and scene.images.max() == 1
+    assert scene.holdout.tolist() == [0, 8] and scene.train.tolist() == [1, 2, 3, 4, 5, 6, 7, 9]
+    assert scene.points.dtype == scene.world_to_clip.dtype == scene.camera_centres.dtype == np.float32
+    assert scene.background.tolist() == [1, 1, 1] and scene.radius == pytest.approx(mesh.radius)
+    np.testing.assert_allclose(np.linalg.norm(scene.camera_centres, axis=1), 3 * mesh.radius, rtol=1e-5)
+    ring = np.hypot(np.hypot(scene.points[:, 0], scene.points[:, 1]) - 1, scene.points[:, 2])
+    np.testing.assert_allclose(ring, 0.38, atol=2e-3)
+    # The projected cloud lies where a view shows the surface (a point on the outline may miss all of a pixel's four
+    # samples), and the surface where the cloud is.
+    for view in range(10):
+        clip = np.column_stack([scene.points, np.ones(400)]) @ scene.world_to_clip[view].T
+        assert (clip[:, 3] > 0).all()
+        pixel = np.floor((clip[:, :2] / clip[:, 3:] + 1) * 12).astype(int)
+        assert (scene.images[view][pixel[:, 1], pixel[:, 0]].min(axis=1) < 1).mean() > 0.95
+        rows, columns = np.nonzero(scene.images[view].max(axis=2) < 0.99)
+        assert cKDTree(pixel).query(np.column_stack([columns, rows]))[0].max() < 3
+
+
+def test_the_ground_truth_mesh_is_kept_to_the_bit(torus_scene):
+    mesh, kept = make_shape("torus"), load_ground_truth(torus_scene)
+    assert (kept.name, kept.betti, mesh_hash(kept)) == ("torus", (1, 2, 1), mesh_hash(mesh))
+    described = json.loads((torus_scene / "scene.json").read_text())
+    assert described["mesh"]["sha256"] == mesh_hash(mesh) and described["config"]["views"] == 10
+    assert described["key"] == scene_key(mesh, SMALL)
+
+
+def test_the_same_scene_is_not_built_twice_and_gives_the_same_files(torus_scene, tmp_path):
+    before = {file: file.stat().st_mtime_ns for file in torus_scene.rglob("*")}
+    assert build_scene(make_shape("torus"), SMALL, torus_scene) == torus_scene
+    assert {file: file.stat().st_mtime_ns for file in torus_scene.rglob("*")} == before
+    other = build_scene(make_shape("torus"), SMALL, tmp_path / "other")
+    for file in (file for file in torus_scene.rglob("*") if file.is_file()):
+        assert (other / file.relative_to(torus_scene)).read_bytes() == file.read_bytes()
+
+
+def test_another_scene_or_foreign_content_is_never_overwritten(torus_scene, tmp_path):
+    with pytest.raises(InputError, match="another mesh or configuration"):
+        build_scene(make_shape("torus"), replace(SMALL, seed=1), torus_scene)
+    with pytest.raises(InputError, match="another mesh or configuration"):
+        build_scene(make_shape("cube"), SMALL, torus_scene)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    with pytest.raises(InputError, match="no scene of this package"):
+        build_scene(make_shape("cube"), SMALL, tmp_path / "mine")
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "precious"
+
+
+def test_a_failing_build_leaves_nothing(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("paper_artifact.scene.build.write_model", fail)
+    with pytest.raises(InputError, match="No space left on device"):
+        build_scene(make_shape("cube"), replace(SMALL, views=2), tmp_path / "scene")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write the scene to"):
+        build_scene(make_shape("cube"), SMALL, tmp_path / "file" / "scene")
+
+
+def test_folders_by_content_differ_with_mesh_and_configuration(tmp_path):
+    cube, torus = make_shape("cube"), make_shape("torus")
+    folders = {scene_folder(mesh, config, tmp_path) for mesh in (cube, torus) for config in (SMALL, replace(SMALL, size=32))}
+    assert len(folders) == 4 and {folder.parent for folder in folders} == {tmp_path}
+
+
+@pytest.mark.parametrize("field, value", [("views", -1), ("views", 1), ("views", 4.5), ("size", 0), ("supersample", 0),
+                                          ("points", 3), ("seed", -1),
+                                          ("texture_frequency", 0.0), ("background", "pink")])
+def test_bad_configurations_are_refused(field, value):
+    with pytest.raises(InputError, match=field):
+        SceneConfig(**{field: value})
+
+
+def test_a_foreign_scene_in_text_with_transparent_images(damaged):
+    (damaged / "scene.json").unlink()
+    (damaged / "ground_truth.npz").unlink()
+    model = read_model(damaged / "sparse" / "0")
+    for file in (damaged / "sparse" / "0").iterdir():
+        file.unlink()
+    write_model(model, damaged / "sparse" / "0", binary=False)
+    for file in (damaged / "images").iterdir():
+        pixels = np.asarray(Image.open(file))
+        Image.fromarray(np.dstack([pixels, np.zeros(pixels.shape[:2], np.uint8)])).save(file)
+    scene = load_scene(damaged)
+    assert scene.background.tolist() == [1, 1, 1] and (scene.images == 1).all()
+    assert scene.radius == pytest.approx(make_shape("torus").diagonal / 2, rel=0.05)
+    with pytest.raises(InputError, match="has no ground_truth.npz"):
+        load_ground_truth(damaged)
+
+
+def test_images_smaller_than_the_camera_are_welcome_in_the_same_aspect(damaged):
+    before = load_scene(damaged)
+    for file in (damaged / "images").iterdir():
+        Image.open(file).resize((12, 12)).save(file)
+    half = load_scene(damaged)
+    assert half.images.shape == (10, 12, 12, 3)
+    np.testing.assert_array_equal(half.world_to_clip, before.world_to_clip)
+
+
+def shrink_one(folder):
+    Image.new("RGB", (12, 12)).save(folder / "images" / "view_004.png")
+
+
+def widen_one(folder):
+    Image.new("RGB", (60, 24)).save(folder / "images" / "view_004.png")
+
+
+def cut_one(folder):
+    file = folder / "images" / "view_004.png"
+    file.write_bytes(file.read_bytes()[:200])
+
+
+def deepen_one(folder):
+    Image.fromarray(np.zeros((24, 24), np.uint16)).save(folder / "images" / "view_004.png")
+
+
+@pytest.mark.parametrize("damage, words", [
+    (lambda folder: (folder / "images" / "view_004.png").unlink(), "no image at .*view_004.png"),
+    (lambda folder: (folder / "images" / "view_004.png").write_text("no picture"), "view_004.png is damaged or no image"),
+    (cut_one, "view_004.png is damaged or no image"),
+    (shrink_one, "mixes images of 12×12 and 24×24"),
+    (widen_one, "60×24 pixels, another aspect"),
+    (deepen_one, "convert it to 8-bit RGB"),
+    (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),
+    (lambda folder: (folder / "scene.json").write_text("{"), "scene.json is damaged"),
+    (lambda folder: (folder / "scene.json").write_text('{"background": [1, 1, 9], "radius": 1}'), "out of range"),
+])
+def test_damaged_scenes_are_refused(damaged, damage, words):
+    damage(damaged)
+    with pytest.raises(InputError, match=words):
+        load_scene(damaged)
+
+
+def test_a_damaged_ground_truth_and_a_missing_folder_are_refused(damaged, tmp_path):
+    file = damaged / "ground_truth.npz"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(InputError, match="ground_truth.npz is damaged"):
+        load_ground_truth(damaged)
+    with pytest.raises(InputError, match="no scene folder at"):
+        load_scene(tmp_path / "absent")
+
+
+def arguments(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    verb.add_arguments(parser)
+    return parser.parse_args([*words, "--views", "3", "--size", "16", "--points", "50", "--supersample", "1"])
+
+
+def test_the_verb_makes_a_scene_of_a_shape_and_of_a_mesh_file(tmp_path, capsys):
+    assert verb.run(arguments("--shape", "cube", "--out", str(tmp_path / "cube"), "--background", "black")) == 0
+    printed, progress = capsys.readouterr()
+    assert "cube (12 triangles" in printed and "3 views" in printed and "rendering cube" in progress
+    assert load_scene(tmp_path / "cube").background.tolist() == [0, 0, 0]
+    mesh = tmp_path / "pyramid.off"
+    mesh.write_text("OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")
+    assert verb.run(arguments("--mesh", str(mesh), "--out", str(tmp_path / "pyramid"))) == 0
+    kept = load_ground_truth(tmp_path / "pyramid")
+    assert (kept.name, kept.betti, len(kept.faces)) == ("pyramid", None, 4)
+
+
+def test_the_verb_refuses_bad_usage_and_bad_input(tmp_path, capsys):
+    for words in ([], ["--shape", "cube"], ["--shape", "cube", "--mesh", "a.obj", "--out", "b"]):
+        with pytest.raises(SystemExit) as refused:
+            arguments(*words)
+        assert refused.value.code == 2
+    assert "usage" in capsys.readouterr().err
+    with pytest.raises(InputError, match="unknown shape"):
+        verb.run(arguments("--shape", "klein_bottle", "--out", str(tmp_path / "x")))
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_mesh_hash_sees_geometry_and_not_the_name():
+    cube = make_shape("cube")
+    assert mesh_hash(cube) == mesh_hash(Mesh(cube.vertices, cube.faces, "other"))
+    assert mesh_hash(cube) != mesh_hash(Mesh(cube.vertices * 2, cube.faces, "cube"))
