@@ -1,0 +1,180 @@
+"""Targets and dumps: one reconstruction measured against one ground truth (paper §4, "Metrics and verdict").
+
+A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same number of α×area-weighted
+samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by the
+ground truth's bounding-box diagonal, births and deaths are radii.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
+from paper_artifact.evaluate.geometry import point_distances
+from paper_artifact.files import RESULTS, atomic_path
+from paper_artifact.mesh import Mesh
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
+from paper_artifact.topology.floor import measurement_floor
+
+SAMPLES = 20_000
+DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a record stays small
+
+# The dimension each study shape is judged in (Table 1, Table 2, Tables S2 and S10): a decision of the paper's, not of β alone.
+DISCRIMINATING = {
+    "sphere": 2, "cube": 2, "cylinder": 2, "torus": 1, "two_spheres": 0, "double_torus": 1, "bowl_narrow": 2, "bowl_wide": 2,
+    "spot": 2, "fandisk": 2, "armadillo": 2, "horse": 2, "pot": 2, "tom_yum_pot": 2, "bob": 1, "rocker-arm": 1, "eight": 1,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A ground truth as the metrics see it.
+
+    samples (n,3) float64, world units; diagonal: bounding-box diagonal, world units; diagram: finite bars per dimension, radius /
+    diagonal; floor: 6·r_med / diagonal of `samples`; dimension: the discriminating one (0, 1 or 2); seed of the samples.
+    """
+
+    name: str
+    samples: np.ndarray
+    diagonal: float
+    diagram: Diagram
+    floor: float
+    dimension: int
+    seed: int
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Significant finite bars per dimension."""
+        return significant_counts(self.diagram, self.floor)
+
+
+def make_target(mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None,
+                cache: Path | None = RESULTS / "targets") -> Target:
+    """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
+
+    dimension: the discriminating one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.
+    cache: a folder that keeps the diagram (some MB a target, not for git), or None. A cached file that does not match or
+    cannot be read is made anew. Raises InputError for a dimension outside 0..2 or a mesh that cannot be sampled.
+    """
+    if dimension not in (None, 0, 1, 2):
+        raise InputError(f"the discriminating dimension must be 0, 1 or 2, got {dimension}")
+    samples = sample_surface(mesh.vertices, mesh.faces, count, stream(seed, "target samples"))[0]
+    path = None if cache is None else Path(cache) / f"{_file_name(mesh.name)}-{count}-s{seed}-{_digest(mesh, count, seed)}.npz"
+    diagram = _cached_diagram(path)
+    if diagram is None:
+        diagram = diagram_of(samples, mesh.diagonal)
+        if path is not None:
+            with atomic_path(path) as temporary, open(temporary, "wb") as handle:
+                np.savez_compressed(handle, **{f"bars_{i}": bars for i, bars in enumerate(diagram)})
+    floor = measurement_floor(samples, mesh.diagonal)
+    if dimension is None:
+        dimension = DISCRIMINATING.get(mesh.name)
+    if dimension is None:
+        dimension = discriminating_dimension(mesh.betti, significant_counts(diagram, floor))
+    return Target(mesh.name, samples, mesh.diagonal, diagram, floor, dimension, seed)
+
+
+def discriminating_dimension(betti: Sequence[int] | None, counts: Sequence[int]) -> int:
+    """Return the dimension to judge a shape in that the study does not name: components, then loops, then voids.
+
+    betti: (b0, b1, b2) where known, else None, and the significant finite `counts` of its samples decide.
+    """
+    components, loops = (betti[0] - 1, betti[1]) if betti is not None else (counts[0], counts[1])
+    return 0 if components > 0 else 1 if loops > 0 else 2
+
+
+def soup_samples(vertices: np.ndarray, opacity: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return `count` samples (count,3) float64 of a soup, density ∝ area × α, α the mean of a triangle's corner opacities.
+
+    vertices (T,3,3) float, world units; opacity (T,3) float in [0,1] (after the sigmoid). Paper §3.2.
+    Raises InputError for wrong shapes, values outside [0,1] or not finite, or a soup without area × α.
+    """
+    vertices, opacity = np.asarray(vertices, dtype=np.float64), np.asarray(opacity, dtype=np.float64)
+    if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
+        raise InputError(f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {opacity.shape}")
+    if not np.isfinite(vertices).all() or not ((opacity >= 0) & (opacity <= 1)).all():
+        raise InputError("the soup holds coordinates that are not finite or opacities outside [0, 1]; its training has diverged")
+    faces = np.arange(3 * len(vertices)).reshape(-1, 3)
+    return sample_surface(vertices.reshape(-1, 3), faces, count, generator, weights=opacity.mean(axis=1))[0]
+
+
+def evaluate_samples(samples: np.ndarray, target: Target) -> dict:
+    """Compare `samples` (n,3) float, world units, with `target`; n should be the target's for a fair reading.
+
+    Returns a JSON-ready dict: "bottleneck" [3] (per dimension, finite bars), "counts" [3] (significant at the samples' own floor)
+    and "floor", "counts_at_target_floor" [3], "chamfer", "chamfer_sum", "hausdorff95", "bars" (per dimension the longest [birth, death],
+    at least 8 if there are, all longer than half the floor up to 24). Raises InputError as its parts do.
+    """
+    diagram = diagram_of(samples, target.diagonal)
+    floor = measurement_floor(samples, target.diagonal)
+    result = {
+        "bottleneck": [_rounded(value) for value in bottlenecks(diagram, target.diagram)],
+        "counts": list(significant_counts(diagram, floor)),
+        "counts_at_target_floor": list(significant_counts(diagram, target.floor)),
+        "floor": _rounded(floor),
+        "bars": [[[_rounded(x) for x in bar] for bar in longest_bars(bars, floor)] for bars in diagram],
+    }
+    distances = point_distances(samples, target.samples, target.diagonal)
+    return result | {name: _rounded(value) for name, value in distances.items()}
+
+
+def evaluate_soup(vertices: np.ndarray, opacity: np.ndarray, target: Target, seed: int = 0, step: int = 0) -> dict:
+    """Return `evaluate_samples` of a soup, with "step"; vertices (T,3,3) world units, opacity (T,3) in [0,1].
+
+    The samples are as many as the target's, drawn from the stream of (seed, step).
+    """
+    samples = soup_samples(vertices, opacity, len(target.samples), stream(seed, "evaluation samples", step))
+    return {"step": int(step)} | evaluate_samples(samples, target)
+
+
+def tail(dumps: Sequence[Mapping], dimension: int, last: int = 3) -> float:
+    """Return the mean bottleneck in `dimension` of the last dumps by step (2300, 2400, 2500 in the study; paper §4).
+
+    Raises InputError for fewer than `last` dumps.
+    """
+    if len(dumps) < last:
+        raise InputError(f"a tail is the mean of the last {last} dumps, but the run has {len(dumps)}; train it to the end")
+    chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
+    return float(np.mean([dump["bottleneck"][dimension] for dump in chosen]))
+
+
+def tails(dumps: Sequence[Mapping], last: int = 3) -> dict:
+    """Return {"steps", "bottleneck" [3], "chamfer", "hausdorff95"}: means over the last dumps, and the last one's "counts" [3]."""
+    bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
+    chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
+    means = {name: _rounded(float(np.mean([dump[name] for dump in chosen]))) for name in ("chamfer", "hausdorff95")}
+    return {"steps": [dump["step"] for dump in chosen], "bottleneck": bottleneck, "counts": list(chosen[-1]["counts"])} | means
+
+
+def _rounded(value: float) -> float:
+    return float(f"{float(value):.{DIGITS}g}")
+
+
+def _file_name(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in Path(name).name)
+
+
+def _digest(mesh: Mesh, count: int, seed: int) -> str:
+    """Return 12 hex digits of what the cached diagram depends on: the mesh's arrays, the draw, and the units' version."""
+    digest = hashlib.sha256(f"diagram 1, radius/diagonal, {count}, {seed}".encode())
+    for array in (np.ascontiguousarray(mesh.vertices, "<f8"), np.ascontiguousarray(mesh.faces, "<i8")):
+        digest.update(str(array.shape).encode() + array.tobytes())
+    return digest.hexdigest()[:12]
+
+
+def _cached_diagram(path: Path | None) -> Diagram | None:
+    if path is None or not path.is_file():
+        return None
+    try:
+        with open(path, "rb") as handle, np.load(handle) as stored:  # np.load alone leaks the handle of a damaged file
+            return tuple(stored[f"bars_{i}"] for i in range(3))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None  # a damaged cache costs seconds, not a run

@@ -1,0 +1,58 @@
+"""Distances between two point samples: Chamfer and the 95 % Hausdorff distance.
+
+All take a (n,3) and b (m,3) float, world units, and `diagonal`, the ground truth's bounding-box diagonal in the same unit, and return
+a fraction of that diagonal: not squared, not percent. Two samples of one surface do not reach zero: at 20,000 points each
+a unit sphere reads chamfer .36 %.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from paper_artifact.errors import InputError
+
+
+def chamfer(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
+    """Return the MEAN of the two directions' mean nearest distances (Table 1's Chamfer, ×100 for percent)."""
+    return point_distances(a, b, diagonal)["chamfer"]
+
+
+def chamfer_sum(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
+    """Return the SUM of the two directions' mean nearest distances (Table S1's Chamfer, ×100 for percent)."""
+    return point_distances(a, b, diagonal)["chamfer_sum"]
+
+
+def hausdorff95(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
+    """Return the larger of the two directions' 95th percentiles of nearest distances (linear interpolation).
+
+    The paper names Hausdorff95 without a formula (§2, Table S1); this is the definition common in segmentation.
+    """
+    return point_distances(a, b, diagonal)["hausdorff95"]
+
+
+def point_distances(a: np.ndarray, b: np.ndarray, diagonal: float) -> dict[str, float]:
+    """Return {"chamfer", "chamfer_sum", "hausdorff95"} of one pair of nearest-neighbour searches.
+
+    Raises InputError for an empty sample, a coordinate that is not finite, or a diagonal that is not positive.
+    """
+    a, b = _checked(a, "first"), _checked(b, "second")
+    if not np.isfinite(diagonal) or diagonal <= 0:
+        raise InputError(f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal")
+    forward = cKDTree(b).query(a)[0] / diagonal
+    backward = cKDTree(a).query(b)[0] / diagonal
+    total = float(forward.mean() + backward.mean())
+    return {
+        "chamfer": total / 2,
+        "chamfer_sum": total,
+        "hausdorff95": float(max(np.percentile(forward, 95), np.percentile(backward, 95))),
+    }
+
+
+def _checked(points: np.ndarray, which: str) -> np.ndarray:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise InputError(f"the {which} sample must have shape (n, 3) with n > 0, got {points.shape}")
+    if not np.isfinite(points).all():
+        raise InputError(f"the {which} sample holds a coordinate that is not finite; the run that made it has diverged")
+    return points

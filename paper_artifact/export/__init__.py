@@ -1,0 +1,1 @@
+"""A trained soup as PLY, GLB, PNG and a self-contained HTML view."""

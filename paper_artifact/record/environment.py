@@ -1,0 +1,56 @@
+"""What a run ran on: versions of the libraries it used and the machine, without names or paths."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import paper_artifact
+
+LIBRARIES = ("numpy", "scipy", "numba", "torch", "gudhi", "trimesh", "pillow")
+
+
+def packages() -> dict[str, str | None]:
+    """Return the versions of Python, this package and the libraries that decide a run's numbers; None where absent."""
+    versions: dict[str, str | None] = {"python": platform.python_version(), "paper_artifact": paper_artifact.__version__}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    return versions
+
+
+def host() -> dict[str, str | int | None]:
+    """Return CPU model, visible logical cores, threads the run used, system and peak memory (MiB) so far.
+
+    Threads are numba's if it is loaded, else OMP_NUM_THREADS, else the cores.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    numba = sys.modules.get("numba")
+    threads = numba.get_num_threads() if numba is not None else int(os.environ.get("OMP_NUM_THREADS") or cores)
+    return {"cpu": cpu_model(), "cores": cores, "threads": threads, "system": f"{platform.system()} {platform.machine()}",
+            "peak_memory_mib": peak_memory_mib()}
+
+
+def cpu_model() -> str:
+    """Return the CPU's model name as the system tells it, else the architecture."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(errors="replace").splitlines():
+            if line.lower().startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def peak_memory_mib() -> int | None:
+    """Return the process's largest resident size so far in MiB, or None where the system does not tell (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(size / (2**20 if sys.platform == "darwin" else 2**10))

@@ -1,0 +1,167 @@
+"""Run records: what one run was, on what it ran, and what came out, in one small JSON file (paper, supplement E and H read these).
+
+File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of the config's
+canonical JSON. A second hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers that
+are not finite are stored as null: JSON has no NaN.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import RESULTS, write_text
+from paper_artifact.record.environment import host, packages
+
+SCHEMA = "paper_artifact.run"
+VERSION = 1
+RUNS = RESULTS / "runs"
+STATUSES = ("done", "failed")
+REQUIRED = ("config", "config_hash", "digest", "dumps", "host", "packages", "status", "tails", "timings")
+LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as JSON knows it: dataclasses and mappings to dicts, arrays and tuples to lists, numbers not finite to None."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return value.as_posix()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise InputError(f"a record cannot hold a {type(value).__name__}; give numbers, texts, lists or mappings")
+
+
+def config_hash(config: Any) -> str:
+    """Return the first 12 hex digits of the SHA-256 of `config` (mapping or dataclass) as canonical JSON."""
+    return _hash(plain(config))[:12]
+
+
+def record_path(config: Any, folder: Path | str = RUNS) -> Path:
+    """Return the path of the record of `config`, which has "shape", "condition" and "seed"; InputError when one is missing."""
+    config = plain(config)
+    missing = [name for name in ("shape", "condition", "seed") if name not in config]
+    if missing:
+        raise InputError(f"a run's config needs {', '.join(missing)} to name its record")
+    shape, condition = (re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(str(config[name])).name) for name in ("shape", "condition"))
+    return Path(folder) / f"{shape}-{condition}-s{config['seed']}-{config_hash(config)}.json"
+
+
+def make_record(config: Any, dumps: list, tails: Mapping, timings: Mapping[str, float], status: str = "done",
+                losses: Mapping[str, list] | None = None, **more: Any) -> dict:
+    """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length, "step" among them.
+
+    more: further sections ("images", "topology", "soup", "error", ...). Losses are thinned to LOSS_POINTS rows, the last kept.
+    Raises InputError for an unknown status, or a section that JSON cannot hold.
+    """
+    if status not in STATUSES:
+        raise InputError(f"a record's status is one of {', '.join(STATUSES)}, got {status}")
+    body = {
+        "schema": SCHEMA, "version": VERSION, "status": status,
+        "config": plain(config), "config_hash": config_hash(config),
+        "packages": packages(), "host": host(),
+        "timings": {name: round(float(seconds), 3) for name, seconds in timings.items()},
+        "dumps": plain(dumps), "tails": plain(tails), "losses": _thinned(losses or {}),
+    } | {name: plain(value) for name, value in more.items()}
+    return body | {"digest": _hash(body)}
+
+
+def write_record(record: Mapping, folder: Path | str = RUNS) -> Path:
+    """Write `record` (of `make_record`) atomically under its name in `folder`, one line per top-level key; return the path."""
+    path = record_path(record["config"], folder)
+    lines = [f" {json.dumps(key)}: {_canonical(record[key])}" for key in sorted(record)]
+    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
+    return path
+
+
+def read_record(path: Path | str) -> dict:
+    """Return the record at `path`.
+
+    Raises InputError, naming path and reason, for a file that is missing, cut off, no record, of another version, or
+    changed since it was written (config against its hash and its file name, all of it against the digest).
+    """
+    path = Path(path)
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise InputError(f"cannot read the record {path}: {error.strerror}; check the path") from error
+    except ValueError as error:
+        raise InputError(f"the record {path} is damaged or cut off ({error}); delete it and run again") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise InputError(f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder")
+    if record.get("version") != VERSION:
+        raise InputError(f"the record {path} has version {record.get('version')}, this code reads {VERSION}; run it again")
+    missing = [name for name in REQUIRED if name not in record]
+    if missing:
+        raise InputError(f"the record {path} lacks {', '.join(missing)}; delete it and run again")
+    if record["config_hash"] != config_hash(record["config"]):
+        raise InputError(f"the record {path} was changed: its config does not match its hash; delete it and run again")
+    expected = record_path(record["config"]).name
+    if path.name != expected:
+        raise InputError(f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again")
+    if record["digest"] != _hash({key: value for key, value in record.items() if key != "digest"}):
+        raise InputError(f"the record {path} was changed after it was written (digest mismatch); delete it and run again")
+    return record
+
+
+def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
+    """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list, tuple or set).
+
+    find_records(shape="torus", condition=("C0", "C1"), seed=range(3)). An empty or missing folder gives []. Damaged records
+    raise InputError, whatever the filters.
+    """
+    found = []
+    for path in sorted(Path(folder).glob("*.json")):
+        record = read_record(path)
+        if all(_accepts(wanted, record["config"].get(name)) for name, wanted in filters.items()):
+            found.append(record)
+    return found
+
+
+def _accepts(wanted: Any, value: Any) -> bool:
+    return value in wanted if isinstance(wanted, (list, tuple, set, frozenset, range)) else value == plain(wanted)
+
+
+def _thinned(losses: Mapping[str, Any]) -> dict:
+    columns = {name: np.asarray(values, dtype=np.float64) for name, values in losses.items()}
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) > 1:
+        raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
+    length = lengths.pop() if lengths else 0
+    kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
+    return {name: [int(x) if name == "step" else _short(x) for x in values[kept]] for name, values in columns.items()}
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.5g}") if math.isfinite(value) else None
+
+
+def _canonical(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(_canonical(value).encode("utf-8")).hexdigest()
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"it holds {name}, which JSON does not know")

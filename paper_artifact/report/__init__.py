@@ -1,0 +1,1 @@
+"""Tables and figures that the notebooks show: the published values, ours beside them."""

@@ -1,0 +1,197 @@
+"""Diagrams, bottleneck, point-set distances and dumps against gudhi, scipy and closed forms."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import gudhi
+import gudhi.hera
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.bottleneck import bottleneck
+from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
+from paper_artifact.evaluate.evaluate import (discriminating_dimension, evaluate_samples, evaluate_soup, make_target, soup_samples, tail,
+                                              tails)
+from paper_artifact.evaluate.geometry import chamfer, chamfer_sum, hausdorff95
+from paper_artifact.mesh import Mesh
+from paper_artifact.randomness import stream
+from paper_artifact.topology.floor import measurement_floor
+
+
+def icosphere(radius: float = 1.0) -> Mesh:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return Mesh(np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64), "ball", (1, 0, 1))
+
+
+def hera(a: np.ndarray, b: np.ndarray) -> float:
+    return gudhi.hera.bottleneck_distance(a, b, delta=0.0)
+
+
+def random_bars(generator: np.random.Generator, count: int, on_ray: bool) -> np.ndarray:
+    births = np.zeros(count) if on_ray else generator.random(count)
+    return np.column_stack([births, births + generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6])
+
+
+def test_bottleneck_where_gudhi_itself_is_not_exact():
+    # Four bars a side; an exhaustive search gives .210629, gudhi.bottleneck_distance (3.13) .211593.
+    generator = np.random.default_rng(182)
+    a, b = random_bars(generator, 4, False), random_bars(generator, 4, False)
+    cost = np.zeros((8, 8))
+    cost[:4, :4] = np.abs(a[:, None] - b[None]).max(axis=2)
+    cost[:4, 4:] = ((a[:, 1] - a[:, 0]) / 2)[:, None]
+    cost[4:, :4] = ((b[:, 1] - b[:, 0]) / 2)[None]
+    exhaustive = min(max(cost[i, column] for i, column in enumerate(columns)) for columns in permutations(range(8)))
+    assert bottleneck(a, b) == pytest.approx(exhaustive, abs=1e-15)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 50), st.integers(0, 50), st.booleans(), st.booleans())
+def test_bottleneck_equals_hera_on_random_diagrams(seed, size_a, size_b, on_ray, close):
+    generator = np.random.default_rng(seed)
+    a = random_bars(generator, size_a, on_ray)
+    b = random_bars(generator, size_b, on_ray)
+    if close:  # a perturbed copy: the optimal matching then pairs most bars
+        b = a + np.array([0.0 if on_ray else 0.01, 0.01]) * generator.normal(size=a.shape)
+        b[:, 1] = np.maximum(b[:, 1], b[:, 0] + 1e-6)
+    assert bottleneck(a, b) == pytest.approx(hera(a, b), abs=1e-13)
+    assert bottleneck(a, b) == pytest.approx(bottleneck(b, a), abs=1e-13)
+
+
+def test_bottleneck_equals_hera_on_large_noisy_diagrams():
+    generator = np.random.default_rng(5)
+    for on_ray in (True, False):
+        a = random_bars(generator, 2500, on_ray) * 0.01
+        b = random_bars(generator, 2300, on_ray) * 0.011
+        a = np.vstack([a, [[0.0, 0.3]]])
+        assert bottleneck(a, b) == pytest.approx(hera(a, b), abs=1e-13)
+        assert bottleneck(a, a) == 0
+
+
+def test_bottleneck_where_the_best_partner_is_shorter_than_the_distance():
+    # a's bar (half life 1) takes b's short bar (half life .6) at distance .8: cheaper than the diagonal.
+    a, b = np.array([[0.0, 2.0]]), np.array([[0.0, 1.2]])
+    assert bottleneck(a, b) == pytest.approx(0.8)
+    assert bottleneck(a, np.empty((0, 2))) == pytest.approx(1.0)
+    assert bottleneck(np.empty((0, 2)), np.empty((0, 2))) == 0
+
+
+def test_diagram_is_in_radii_over_the_diagonal():
+    points = stream(3, "test").normal(size=(300, 3))
+    diagram = diagram_of(points, diagonal=2.5)
+    tree = gudhi.AlphaComplex(points=points, precision="safe").create_simplex_tree()
+    tree.compute_persistence()
+    for dimension in range(3):
+        oracle = np.sqrt(tree.persistence_intervals_in_dimension(dimension).clip(min=0)) / 2.5
+        oracle = oracle[np.isfinite(oracle[:, 1]) & (oracle[:, 1] - oracle[:, 0] > 1e-7)]
+        bars = diagram[dimension][diagram[dimension][:, 1] - diagram[dimension][:, 0] > 1e-7]
+        np.testing.assert_allclose(bars[np.lexsort(bars.T)], oracle[np.lexsort(oracle.T)], atol=1e-9)
+    with pytest.raises(InputError, match="diagonal"):
+        diagram_of(points, diagonal=0)
+
+
+def test_counts_and_longest_bars():
+    bars = np.array([[0.0, 0.1], [0.0, 0.5], [0.2, 0.4], [0.1, 0.13]])
+    assert significant_counts((bars, bars[:1], bars[:0]), floor=0.15) == (2, 0, 0)
+    np.testing.assert_array_equal(longest_bars(bars, floor=0.3, at_least=1), bars[[1, 2]])
+    assert len(longest_bars(np.repeat(bars, 20, axis=0), floor=0.01)) == 24
+    assert longest_bars(bars[:0], floor=0.1).shape == (0, 2)
+
+
+def test_floor_is_six_median_spacings_and_follows_the_closed_form():
+    points = stream(0, "test").random((400, 3))
+    nearest = np.where(np.eye(400, dtype=bool), np.inf, cdist(points, points)).min(axis=1)
+    assert measurement_floor(points, diagonal=2.0) == pytest.approx(6 * np.median(nearest) / 2.0, rel=1e-12)
+    square = np.column_stack([stream(1, "test").random((20000, 2)), np.zeros(20000)])
+    assert measurement_floor(square, 1.0) == pytest.approx(6 * np.sqrt(np.log(2) / (np.pi * 20000)), rel=0.03)
+    with pytest.raises(InputError, match="two points"):
+        measurement_floor(points[:1], 1.0)
+
+
+def test_chamfer_and_hausdorff_equal_brute_force():
+    generator = stream(1, "test")
+    a, b, diagonal = generator.random((70, 3)), generator.random((110, 3)) + 0.2, 3.0
+    distances = cdist(a, b)
+    forward, backward = distances.min(axis=1), distances.min(axis=0)
+    assert chamfer(a, b, diagonal) == pytest.approx((forward.mean() + backward.mean()) / 2 / diagonal, rel=1e-12)
+    assert chamfer_sum(a, b, diagonal) == pytest.approx(2 * chamfer(a, b, diagonal), rel=1e-12)
+    expected = max(np.quantile(forward, 0.95), np.quantile(backward, 0.95)) / diagonal
+    assert hausdorff95(a, b, diagonal) == pytest.approx(expected, rel=1e-12)
+    assert chamfer(a, a, diagonal) == 0
+    for bad in (a[:0], np.full((3, 3), np.nan), np.zeros((3, 2))):
+        with pytest.raises(InputError, match="second sample"):
+            chamfer(a, bad, diagonal)
+
+
+def test_dump_of_a_shrunken_sphere_reads_the_known_change(tmp_path):
+    target = make_target(icosphere(), count=4000, cache=tmp_path)
+    assert target.dimension == 2 and target.counts == (0, 0, 1)
+    again = make_target(icosphere(), count=4000, cache=tmp_path)
+    assert len(list(tmp_path.glob("*.npz"))) == 1 and again.floor == target.floor
+    for bars, cached in zip(target.diagram, again.diagram):
+        np.testing.assert_array_equal(bars, cached)
+    vertices = icosphere(0.9).vertices[icosphere().faces]
+    dump = evaluate_soup(vertices, np.full((len(vertices), 3), 0.8), target, seed=1, step=500)
+    # The void's death is the sphere's radius over the diagonal: a tenth of 1 / D is lost, and every point is .1 off.
+    assert dump["step"] == 500 and dump["counts"] == [0, 0, 1]
+    assert dump["bottleneck"][2] == pytest.approx(0.1 / target.diagonal, rel=0.1)
+    assert dump["chamfer"] == pytest.approx(0.1 / target.diagonal, rel=0.05)
+    assert dump["chamfer_sum"] == pytest.approx(2 * dump["chamfer"], rel=1e-6)
+    assert dump["bars"][2][0][1] == pytest.approx(0.9 / target.diagonal, rel=0.02)
+    assert evaluate_soup(vertices, np.full((len(vertices), 3), 0.8), target, seed=1, step=500) == dump
+
+
+def test_damaged_target_cache_is_made_anew(tmp_path):
+    target = make_target(icosphere(), count=500, cache=tmp_path)
+    stored = next(tmp_path.glob("*.npz"))
+    stored.write_bytes(stored.read_bytes()[:200])
+    again = make_target(icosphere(), count=500, cache=tmp_path)
+    np.testing.assert_array_equal(again.diagram[1], target.diagram[1])
+
+
+def test_soup_samples_follow_area_times_opacity():
+    unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    vertices = np.stack([unit, 2 * unit + [10, 0, 0], unit + [20, 0, 0]])
+    opacity = np.array([[1.0, 1, 1], [0.1, 0.2, 0.3], [0, 0, 0]])
+    samples = soup_samples(vertices, opacity, 30000, stream(0, "test"))
+    # mass .5·1 against 2·.2: shares 5/9 and 4/9; a clear triangle gets nothing.
+    assert (samples[:, 0] < 5).mean() == pytest.approx(5 / 9, abs=0.015)
+    assert (samples[:, 0] < 15).all()
+    for bad_vertices, bad_opacity in ((vertices, opacity * 2), (vertices * np.nan, opacity), (vertices[0], opacity)):
+        with pytest.raises(InputError, match="soup"):
+            soup_samples(bad_vertices, bad_opacity, 10, stream(0, "test"))
+    with pytest.raises(InputError):
+        soup_samples(vertices, opacity * 0, 10, stream(0, "test"))
+
+
+def test_tail_is_the_mean_of_the_last_three_steps():
+    dumps = [{"step": step, "bottleneck": [0, 0, step / 1000], "chamfer": 0.01, "hausdorff95": 0.02, "counts": [0, 0, 1]}
+             for step in (2500, 100, 2300, 2400)]
+    assert tail(dumps, 2) == pytest.approx(2.4)
+    summary = tails(dumps)
+    assert summary["steps"] == [2300, 2400, 2500] and summary["bottleneck"] == pytest.approx([0, 0, 2.4])
+    with pytest.raises(InputError, match="last 3 dumps"):
+        tail(dumps[:2], 2)
+
+
+def test_discriminating_dimension():
+    assert discriminating_dimension((2, 0, 2), (1, 0, 2)) == 0
+    assert discriminating_dimension((1, 2, 1), (0, 2, 1)) == 1
+    assert discriminating_dimension((1, 0, 0), (0, 0, 1)) == 2
+    assert discriminating_dimension(None, (0, 0, 1)) == 2
+    with pytest.raises(InputError, match="0, 1 or 2"):
+        make_target(icosphere(), count=100, dimension=3, cache=None)
+
+
+def test_evaluate_samples_refuses_diverged_samples():
+    target = make_target(icosphere(), count=300, cache=None)
+    samples = target.samples.copy()
+    samples[7, 1] = np.nan
+    with pytest.raises(InputError):
+        evaluate_samples(samples, target)

@@ -1,0 +1,123 @@
+"""Run records: round trip, naming, and every way a file on disk can be wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from paper_artifact.errors import InputError
+from paper_artifact.record.record import config_hash, find_records, make_record, read_record, record_path, write_record
+
+
+@dataclass(frozen=True)
+class Config:
+    shape: str = "torus"
+    condition: str = "C1"
+    seed: int = 3
+    rate: float = 0.1
+    ramp: tuple[float, float] = (0.2, 0.5)
+
+
+def example(config=Config(), **more) -> dict:
+    dumps = [{"step": step, "bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]} for step in (2300, 2400, 2500)]
+    losses = {"step": np.arange(2500), "total": np.linspace(1, 0.1, 2500, dtype=np.float32)}
+    return make_record(config, dumps, {"bottleneck": np.array([0.001, 0.02, 0.003])}, {"train": 12.34567}, losses=losses, **more)
+
+
+def test_round_trip(tmp_path):
+    record = example(topology={"lambda": np.float32(0.5), "live": np.array([0.1, np.nan])})
+    path = write_record(record, tmp_path)
+    assert path.name == f"torus-C1-s3-{config_hash(Config())}.json"
+    again = read_record(path)
+    assert again == record
+    assert again["config"]["ramp"] == [0.2, 0.5] and again["topology"] == {"lambda": 0.5, "live": [0.1, None]}
+    assert again["losses"]["step"][-1] == 2499 and len(again["losses"]["step"]) == 250
+    assert again["packages"]["numpy"] == np.__version__ and again["host"]["cores"] >= 1
+    assert path.stat().st_size < 20_000
+
+
+def test_hash_depends_on_values_not_on_order_or_type_of_mapping():
+    as_dict = {"seed": 3, "ramp": [0.2, 0.5], "rate": 0.1, "condition": "C1", "shape": "torus"}
+    assert config_hash(as_dict) == config_hash(Config())
+    assert config_hash(replace(Config(), rate=0.1000001)) != config_hash(Config())
+    assert record_path(replace(Config(), shape="meshes/my shape.obj")).name.startswith("my_shape.obj-C1-s3-")
+    with pytest.raises(InputError, match="condition"):
+        record_path({"shape": "torus", "seed": 1})
+
+
+def test_find_records_by_config(tmp_path):
+    for seed in range(3):
+        for condition in ("C0", "C1"):
+            write_record(example(replace(Config(), seed=seed, condition=condition)), tmp_path)
+    assert len(find_records(tmp_path)) == 6
+    found = find_records(tmp_path, condition="C1", seed=(0, 2))
+    assert [(record["config"]["condition"], record["config"]["seed"]) for record in found] == [("C1", 0), ("C1", 2)]
+    assert find_records(tmp_path, ramp=(0.2, 0.5), shape="sphere") == []
+    assert find_records(tmp_path / "nothing") == []
+
+
+def changed(path, change) -> None:
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("change, reason", [
+    (lambda record: record["config"].update(seed=4), "config does not match"),
+    (lambda record: record["tails"].update(bottleneck=[0, 0, 0]), "digest mismatch"),
+    (lambda record: record["dumps"].pop(), "digest mismatch"),
+    (lambda record: record.pop("dumps"), "lacks dumps"),
+    (lambda record: record.update(version=99), "version 99"),
+    (lambda record: record.update(schema="other"), "no run record"),
+])
+def test_changed_records_are_refused(tmp_path, change, reason):
+    path = write_record(example(), tmp_path)
+    changed(path, change)
+    with pytest.raises(InputError, match=reason) as caught:
+        read_record(path)
+    assert str(path) in str(caught.value)
+    with pytest.raises(InputError):
+        find_records(tmp_path)
+
+
+def test_half_foreign_misnamed_and_missing_files_are_refused(tmp_path):
+    path = write_record(example(), tmp_path)
+    text = path.read_text()
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(InputError, match="cut off"):
+        read_record(path)
+    path.write_text("")
+    with pytest.raises(InputError, match="cut off"):
+        read_record(path)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    with pytest.raises(InputError, match="damaged"):
+        read_record(path)
+    path.write_text('[1, 2]')
+    with pytest.raises(InputError, match="no run record"):
+        read_record(path)
+    path.write_text(text.replace('"train":12.346', '"train":NaN'))
+    with pytest.raises(InputError, match="NaN"):
+        read_record(path)
+    path.write_text(text)
+    moved = path.rename(tmp_path / "sphere-C1-s3-0123456789ab.json")
+    with pytest.raises(InputError, match="misnamed"):
+        read_record(moved)
+    with pytest.raises(InputError, match="cannot read"):
+        read_record(tmp_path / "absent.json")
+
+
+def test_make_record_refuses_what_it_cannot_hold():
+    with pytest.raises(InputError, match="status"):
+        example(status="fine")
+    with pytest.raises(InputError, match="cannot hold a set"):
+        example(topology={1, 2})
+    with pytest.raises(InputError, match="different lengths"):
+        make_record(Config(), [], {}, {}, losses={"step": [1, 2], "total": [1.0]})
+
+
+def test_failed_run_keeps_its_reason(tmp_path):
+    record = make_record(Config(), [], {}, {"train": 1.0}, status="failed", error="the loss became NaN at step 12")
+    assert read_record(write_record(record, tmp_path))["error"].endswith("step 12")
