@@ -1,0 +1,283 @@
+"""Three-dimensional Delaunay triangulation by incremental insertion, exact for every input.
+
+Bowyer-Watson insertion in biased randomised Hilbert order with a walk for location. Outside the convex hull lie "infinite"
+tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point counts as lifted infinitesimally higher on
+the paraboloid than all earlier ones, so a point on a sphere is outside it; the result is a regular triangulation of the perturbed
+lift, has no flat tetrahedron, and the alpha persistence diagram does not depend on the choice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from paper_artifact.topology.expansions import WORKSPACE
+from paper_artifact.topology.predicates import insphere, orient3d
+
+INFINITE = -1
+DEAD = -2
+
+
+@njit(cache=True, nogil=True)
+def _collinear(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> bool:
+    """Exactly collinear: all three coordinate projections have zero area, each read off an orientation with a fourth point above."""
+    lifted = np.zeros((4, 3))
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        lifted[0, 0], lifted[0, 1] = points[a, i], points[a, j]
+        lifted[1, 0], lifted[1, 1] = points[b, i], points[b, j]
+        lifted[2, 0], lifted[2, 1] = points[c, i], points[c, j]
+        lifted[3, 0], lifted[3, 1] = points[a, i], points[a, j]
+        lifted[3, 2] = 1.0
+        if orient3d(lifted, 0, 1, 2, 3, ws) != 0.0:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _swap_rows(points: np.ndarray, order: np.ndarray, i: int, j: int) -> None:
+    for k in range(3):
+        points[i, k], points[j, k] = points[j, k], points[i, k]
+    order[i], order[j] = order[j], order[i]
+
+
+@njit(cache=True, nogil=True)
+def _first_tetrahedron(points: np.ndarray, order: np.ndarray, ws: np.ndarray) -> bool:
+    """Bring four affinely independent points, positively oriented, to the front; False when there are none."""
+    n = len(points)
+    found = 1
+    for i in range(1, n):
+        if found == 1:
+            use = points[i, 0] != points[0, 0] or points[i, 1] != points[0, 1] or points[i, 2] != points[0, 2]
+        elif found == 2:
+            use = not _collinear(points, 0, 1, i, ws)
+        else:
+            use = orient3d(points, 0, 1, 2, i, ws) != 0.0
+        if use:
+            _swap_rows(points, order, found, i)
+            found += 1
+            if found == 4:
+                if orient3d(points, 0, 1, 2, 3, ws) < 0.0:
+                    _swap_rows(points, order, 0, 1)
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _in_conflict(points: np.ndarray, cells: np.ndarray, neighbours: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
+    """Whether p destroys cell t: p inside its sphere; for an infinite cell, p beyond its hull triangle or inside its circle."""
+    if cells[t, 3] == INFINITE:
+        side = orient3d(points, cells[t, 0], cells[t, 1], cells[t, 2], p, ws)
+        if side != 0.0:
+            return side > 0.0
+        t = neighbours[t, 3]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
+    return insphere(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], p, ws) > 0.0
+
+
+@njit(cache=True, nogil=True)
+def _locate(points: np.ndarray, cells: np.ndarray, neighbours: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
+    """Walk from cell t to the finite cell that contains p, or to an infinite one whose triangle p lies beyond."""
+    if cells[t, 3] == INFINITE:
+        t = neighbours[t, 3]
+    previous = -1
+    while cells[t, 3] != INFINITE:
+        a, b, c, d = cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3]
+        following = -1
+        for i in range(4):
+            other = neighbours[t, i]
+            if other == previous:
+                continue
+            if i == 0:
+                side = orient3d(points, p, b, c, d, ws)
+            elif i == 1:
+                side = orient3d(points, a, p, c, d, ws)
+            elif i == 2:
+                side = orient3d(points, a, b, p, d, ws)
+            else:
+                side = orient3d(points, a, b, c, p, ws)
+            if side < 0.0:
+                following = other
+                break
+        if following < 0:
+            return t
+        previous = t
+        t = following
+    return t
+
+
+@njit(cache=True, nogil=True)
+def _grown(array: np.ndarray, rows: int) -> np.ndarray:
+    larger = np.empty((rows, array.shape[1]), dtype=np.int32)
+    for i in range(rows):
+        for j in range(array.shape[1]):
+            larger[i, j] = array[i, j] if i < len(array) else DEAD
+    return larger
+
+
+@njit(cache=True, nogil=True)
+def _start(cells: np.ndarray, neighbours: np.ndarray) -> None:
+    """The first tetrahedron (0, 1, 2, 3) and the four infinite cells around it."""
+    cells[0, 0], cells[0, 1], cells[0, 2], cells[0, 3] = 0, 1, 2, 3
+    cells[1, 0], cells[1, 1], cells[1, 2], cells[1, 3] = 3, 1, 2, INFINITE
+    cells[2, 0], cells[2, 1], cells[2, 2], cells[2, 3] = 0, 3, 2, INFINITE
+    cells[3, 0], cells[3, 1], cells[3, 2], cells[3, 3] = 0, 1, 3, INFINITE
+    cells[4, 0], cells[4, 1], cells[4, 2], cells[4, 3] = 1, 0, 2, INFINITE
+    for s in range(5):  # each pair of cells shares one triangle: the slots whose vertices the other cell lacks
+        for t in range(5):
+            if s == t:
+                continue
+            for i in range(4):
+                lacking = True
+                for j in range(4):
+                    if cells[t, j] == cells[s, i]:
+                        lacking = False
+                if lacking:
+                    neighbours[s, i] = t
+
+
+@njit(cache=True, nogil=True)
+def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Delaunay tetrahedra of (n, 3) float64 points, scaled as ordering.normalised does, given in insertion order.
+
+    points and `order` (n,) (any labels that travel with the rows) are permuted IN PLACE so that the first four rows are affinely
+    independent; all indices refer to the rows afterwards.
+    Returns cells (m, 4) int32, positively oriented; neighbours (m, 4) int32, the cell across the triangle opposite vertex i or -1
+    outside the hull; same (n,) int32, for each row the row it exactly duplicates, or itself. m = 0 when all points are coplanar.
+    """
+    n = len(points)
+    ws = np.empty(WORKSPACE)
+    same = np.arange(n).astype(np.int32)
+    if n < 4 or not _first_tetrahedron(points, order, ws):
+        return np.empty((0, 4), dtype=np.int32), np.empty((0, 4), dtype=np.int32), same
+    capacity = 9 * n + 64
+    cells = np.empty((capacity, 4), dtype=np.int32)
+    neighbours = np.empty((capacity, 4), dtype=np.int32)
+    mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not
+    _start(cells, neighbours)
+    used = 5
+    free = np.empty((capacity, 1), dtype=np.int32)
+    free_count = 0
+    cavity = np.empty((256, 1), dtype=np.int32)
+    rim = np.empty((256, 6), dtype=np.int32)  # new cell's vertices, the slot of p, the cell outside
+    table = 1024
+    slot_keys = np.empty(table, dtype=np.int64)
+    slot_cells = np.empty(table, dtype=np.int32)
+    slot_stamps = np.zeros(table, dtype=np.int32)
+    last = 0
+    for p in range(4, n):
+        first = _locate(points, cells, neighbours, last, p, ws)
+        if cells[first, 3] != INFINITE:
+            for i in range(4):
+                v = cells[first, i]
+                if points[v, 0] == points[p, 0] and points[v, 1] == points[p, 1] and points[v, 2] == points[p, 2]:
+                    same[p] = v
+            if same[p] != p:
+                last = first
+                continue
+        # the cavity: all cells in conflict, connected; its rim becomes the new cells
+        inside, outside = 2 * p, 2 * p + 1
+        cavity[0, 0] = first
+        mark[first, 0] = inside
+        count, done, faces = 1, 0, 0
+        while done < count:
+            t = cavity[done, 0]
+            done += 1
+            if count + 4 > len(cavity):
+                cavity = _grown(cavity, 2 * len(cavity))
+            if faces + 4 > len(rim):
+                rim = _grown(rim, 2 * len(rim))
+            for i in range(4):
+                other = neighbours[t, i]
+                state = mark[other, 0]
+                if state == inside:
+                    continue
+                if state != outside:
+                    if _in_conflict(points, cells, neighbours, other, p, ws):
+                        mark[other, 0] = inside
+                        cavity[count, 0] = other
+                        count += 1
+                        continue
+                    mark[other, 0] = outside
+                for j in range(4):
+                    rim[faces, j] = cells[t, j]
+                rim[faces, i] = p
+                rim[faces, 4] = 4 * t + i
+                rim[faces, 5] = other
+                faces += 1
+        for f in range(faces):  # the outside cells still name the old ones: find the slot before those are overwritten
+            other = rim[f, 5]
+            old, i = rim[f, 4] // 4, rim[f, 4] % 4
+            for j in range(4):
+                if neighbours[other, j] == old:
+                    rim[f, 4] = 4 * i + j
+                    break
+        if free_count + count > len(free):
+            free = _grown(free, 2 * len(free) + count)
+        for k in range(count):
+            free[free_count, 0] = cavity[k, 0]
+            free_count += 1
+            cells[cavity[k, 0], 0] = DEAD
+        if used + faces > len(cells):
+            rows = 2 * len(cells) + faces
+            cells, neighbours, mark = _grown(cells, rows), _grown(neighbours, rows), _grown(mark, rows)
+        if 3 * faces > table:
+            while table < 6 * faces:
+                table *= 2
+            slot_keys = np.empty(table, dtype=np.int64)
+            slot_cells = np.empty(table, dtype=np.int32)
+            slot_stamps = np.zeros(table, dtype=np.int32)
+        for f in range(faces):
+            if free_count > 0:
+                free_count -= 1
+                t = free[free_count, 0]
+            else:
+                t = used
+                used += 1
+            i, back, other = rim[f, 4] // 4, rim[f, 4] % 4, rim[f, 5]
+            for j in range(4):
+                cells[t, j] = rim[f, j]
+            mark[t, 0] = 0
+            neighbours[t, i] = other
+            neighbours[other, back] = t
+            last = t
+            for j in range(4):  # the triangle opposite j holds p and an edge of the rim, which one other new cell has as well
+                if j == i:
+                    continue
+                u, v = -1, -1
+                for k in range(4):
+                    if k != i and k != j:
+                        u, v = v, rim[f, k]
+                if u > v:
+                    u, v = v, u
+                key = (np.int64(u) + 1) * np.int64(n + 1) + np.int64(v)
+                place = ((u + 1) * 73856093 ^ v * 19349663) & (table - 1)
+                while slot_stamps[place] == p and slot_keys[place] != key:
+                    place = (place + 1) & (table - 1)
+                if slot_stamps[place] == p:
+                    mate, side = slot_cells[place] // 4, slot_cells[place] % 4
+                    neighbours[t, j] = mate
+                    neighbours[mate, side] = t
+                else:
+                    slot_stamps[place] = p
+                    slot_keys[place] = key
+                    slot_cells[place] = 4 * t + j
+    return _finite(cells[:used], neighbours[:used], same)
+
+
+@njit(cache=True, nogil=True)
+def _finite(cells: np.ndarray, neighbours: np.ndarray, same: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Only the finite cells, renumbered."""
+    number = np.full(len(cells), -1, dtype=np.int32)
+    m = 0
+    for t in range(len(cells)):
+        if cells[t, 0] != DEAD and cells[t, 3] != INFINITE:
+            number[t] = m
+            m += 1
+    kept = np.empty((m, 4), dtype=np.int32)
+    across = np.empty((m, 4), dtype=np.int32)
+    for t in range(len(cells)):
+        if number[t] >= 0:
+            for i in range(4):
+                kept[number[t], i] = cells[t, i]
+                across[number[t], i] = number[neighbours[t, i]]
+    return kept, across, same

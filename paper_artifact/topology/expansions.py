@@ -1,0 +1,236 @@
+"""Exact arithmetic for the geometric predicates: error-free transformations, double-double numbers, floating-point expansions.
+
+A formula is written once, as a `Formula` of sums and products of coordinate differences, and evaluated in either arithmetic by a
+small interpreter: the rare path stays short to compile.
+
+An expansion is a sum of doubles, smallest first, that do not overlap: it holds a real number exactly (Shewchuk, "Adaptive Precision
+Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997). A double-double is the rounded sum of two. Exact as long as
+nothing over- or underflows: the caller scales coordinates to about 1 and keeps them multiples of 2^-120 (ordering.normalised).
+
+Expansions live in a workspace `ws` (float64); register r of a formula is `loc[r] = (offset, length)`, a zero has length 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, int64, njit, types
+
+WORKSPACE = 1 << 21  # doubles; the longest expansion of the predicates (a Gabriel sign with nothing cancelling) needs half of it
+SPLITTER = 134217729.0  # 2^27 + 1
+_STEPS = types.Array(int64, 2, "C", readonly=True)  # numba's type of a global array
+
+
+@njit(cache=True, nogil=True)
+def two_sum(a: float, b: float) -> tuple[float, float]:
+    """(s, e) with s = fl(a + b) and s + e = a + b exactly."""
+    s = a + b
+    bb = s - a
+    return s, (a - (s - bb)) + (b - bb)
+
+
+@njit(cache=True, nogil=True)
+def two_product(a: float, b: float) -> tuple[float, float]:
+    """(p, e) with p = fl(a b) and p + e = a b exactly (Dekker)."""
+    p = a * b
+    t = SPLITTER * a
+    ah = t - (t - a)
+    al = a - ah
+    t = SPLITTER * b
+    bh = t - (t - b)
+    bl = b - bh
+    return p, al * bl - (((p - ah * bh) - al * bh) - ah * bl)
+
+
+@njit(cache=True, nogil=True)
+def dd_add(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:
+    """Sum of two double-doubles; relative error below 2^-103."""
+    s, e = two_sum(x[0], y[0])
+    t, f = two_sum(x[1], y[1])
+    e += t
+    h = s + e
+    e = e - (h - s) + f
+    s = h + e
+    return s, e - (s - h)
+
+
+@njit(cache=True, nogil=True)
+def dd_mul(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:
+    """Product of two double-doubles; relative error below 2^-102."""
+    p, e = two_product(x[0], y[0])
+    e += x[0] * y[1] + x[1] * y[0]
+    s = p + e
+    return s, e - (s - p)
+
+
+@njit("int64(float64[::1], int64, int64, int64, int64, int64)", cache=True, nogil=True)
+def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
+    """ws[h:] = the sum of two expansions, zeros left out; returns its length (Shewchuk's fast expansion sum)."""
+    i = j = n = 0
+    q = 0.0
+    for step in range(ne + nf):
+        if j >= nf or (i < ne and abs(ws[e + i]) < abs(ws[f + j])):
+            term = ws[e + i]
+            i += 1
+        else:
+            term = ws[f + j]
+            j += 1
+        if step == 0:
+            q = term
+            continue
+        q, low = two_sum(q, term)
+        if low != 0.0:
+            ws[h + n] = low
+            n += 1
+    if q != 0.0:
+        ws[h + n] = q
+        n += 1
+    return n
+
+
+@njit("int64(float64[::1], int64, int64, float64, int64)", cache=True, nogil=True)
+def _scale(ws: np.ndarray, e: int, ne: int, b: float, h: int) -> int:
+    """ws[h:] = b times an expansion, zeros left out; returns its length."""
+    if ne == 0 or b == 0.0:
+        return 0
+    n = 0
+    q, low = two_product(ws[e], b)
+    if low != 0.0:
+        ws[h] = low
+        n = 1
+    for i in range(1, ne):
+        p, p_low = two_product(ws[e + i], b)
+        q, low = two_sum(q, p_low)
+        if low != 0.0:
+            ws[h + n] = low
+            n += 1
+        q, low = two_sum(p, q)
+        if low != 0.0:
+            ws[h + n] = low
+            n += 1
+    if q != 0.0:
+        ws[h + n] = q
+        n += 1
+    return n
+
+
+ADD, SUBTRACT, MULTIPLY = 0, 1, 2
+
+
+class Formula:
+    """A polynomial of difference vectors, recorded as steps (operation, register, register, result register)."""
+
+    def __init__(self, vectors: int) -> None:
+        """`vectors` difference vectors are the inputs; vector i has the registers 3i, 3i+1, 3i+2."""
+        self.inputs = [(3 * i, 3 * i + 1, 3 * i + 2) for i in range(vectors)]
+        self.registers = 3 * vectors
+        self.rows: list[tuple[int, int, int, int]] = []
+
+    def step(self, operation: int, i: int, j: int) -> int:
+        """The register of `i operation j`."""
+        self.rows.append((operation, i, j, self.registers))
+        self.registers += 1
+        return self.registers - 1
+
+    def minor(self, a: int, b: int, c: int, d: int) -> int:
+        """a b - c d."""
+        return self.step(SUBTRACT, self.step(MULTIPLY, a, b), self.step(MULTIPLY, c, d))
+
+    def cross(self, u: tuple, v: tuple) -> tuple[int, int, int]:
+        """Cross product of two vectors."""
+        return self.minor(u[1], v[2], u[2], v[1]), self.minor(u[2], v[0], u[0], v[2]), self.minor(u[0], v[1], u[1], v[0])
+
+    def total(self, *terms: int) -> int:
+        """Sum of registers."""
+        register = terms[0]
+        for term in terms[1:]:
+            register = self.step(ADD, register, term)
+        return register
+
+    def dot(self, u: tuple, v: tuple) -> int:
+        """Dot product of two vectors."""
+        return self.total(*(self.step(MULTIPLY, a, b) for a, b in zip(u, v)))
+
+    def steps(self) -> np.ndarray:
+        """(steps, 4) int64; the value of the formula is the result of the last step."""
+        return np.array(self.rows, dtype=np.int64)
+
+
+@njit("int64(float64[::1], int64[:,::1], int64, int64, int64)", cache=True, nogil=True)
+def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
+    """ws[top:] = register i times register j; returns its length."""
+    e, ne, f, nf = loc[i, 0], loc[i, 1], loc[j, 0], loc[j, 1]
+    if ne < nf:
+        e, ne, f, nf = f, nf, e, ne
+    room = 2 * ne * nf
+    here, other, scaled = top, top + room, top + 2 * room
+    n = 0
+    for k in range(nf):
+        m = _scale(ws, e, ne, ws[f + k], scaled)
+        n = _sum(ws, here, n, scaled, m, other)
+        here, other = other, here
+    if here != top:
+        for k in range(n):
+            ws[top + k] = ws[here + k]
+    return n
+
+
+@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1]), cache=True, nogil=True)
+def exact_sign(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray) -> float:
+    """The sign (-1., 0. or 1.) of a formula of the vectors points[rows[i]] - points[rows[-1]]."""
+    vectors = len(rows) - 1
+    loc = np.empty((3 * vectors + len(steps), 2), dtype=np.int64)
+    top = 0
+    for i in range(vectors):
+        for k in range(3):
+            high, low = two_sum(points[rows[i], k], -points[rows[vectors], k])
+            loc[3 * i + k, 0] = top
+            if low != 0.0:
+                ws[top] = low
+                top += 1
+            if high != 0.0:
+                ws[top] = high
+                top += 1
+            loc[3 * i + k, 1] = top - loc[3 * i + k, 0]
+    out = 0
+    for s in range(len(steps)):
+        operation, i, j, out = steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3]
+        if operation == MULTIPLY:
+            n = _multiply(ws, loc, i, j, top)
+        else:
+            f = loc[j, 0]
+            if operation == SUBTRACT:
+                f = top
+                top += loc[j, 1]
+                for k in range(loc[j, 1]):
+                    ws[f + k] = -ws[loc[j, 0] + k]
+            n = _sum(ws, loc[i, 0], loc[i, 1], f, loc[j, 1], top)
+        loc[out, 0] = top
+        loc[out, 1] = n
+        top += n
+    if loc[out, 1] == 0:
+        return 0.0
+    return 1.0 if ws[top - 1] > 0.0 else -1.0
+
+
+@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[:, ::1]), cache=True, nogil=True)
+def evaluate(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, values: np.ndarray) -> float:
+    """A formula of the vectors points[rows[i]] - points[rows[-1]] in double-doubles, rounded to a double.
+
+    values: (registers, 2) float64, filled with every register's value. The vectors themselves are exact.
+    """
+    vectors = len(rows) - 1
+    for i in range(vectors):
+        for k in range(3):
+            values[3 * i + k, 0], values[3 * i + k, 1] = two_sum(points[rows[i], k], -points[rows[vectors], k])
+    out = 0
+    for s in range(len(steps)):
+        operation, i, j, out = steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3]
+        x = values[i, 0], values[i, 1]
+        if operation == MULTIPLY:
+            value = dd_mul(x, (values[j, 0], values[j, 1]))
+        elif operation == ADD:
+            value = dd_add(x, (values[j, 0], values[j, 1]))
+        else:
+            value = dd_add(x, (-values[j, 0], -values[j, 1]))
+        values[out, 0], values[out, 1] = value
+    return values[out, 0]

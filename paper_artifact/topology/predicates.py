@@ -1,0 +1,170 @@
+"""Exact signs of the three geometric tests of the alpha complex: orientation, in-sphere, Gabriel.
+
+Each is evaluated in float64 first and accepted when it exceeds a proven error bound (Shewchuk 1997); the rest goes to double-doubles
+with a bound, and what is still open to exact expansions, so every sign is right for coplanar, cospherical and lattice-like input.
+`points` is (n, 3) float64, scaled as ordering.normalised does; a..e are row indices; `ws` is a workspace of expansions.WORKSPACE.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from paper_artifact.topology.expansions import ADD, MULTIPLY, Formula, evaluate, exact_sign
+
+ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
+INSPHERE_BOUND = 1.7763568394002532e-15  # (16 + 224 u) u
+INSPHERE_STATIC = 4.5e-14  # times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units
+DOT_BOUND = 1e-15  # above (5 + small) u for a sum of three products of rounded differences
+GABRIEL_BOUND = 2e-14  # times |u|²|v|²|w|²: six terms of at most 1 in this unit, each with at most 18 u
+DD_BOUND = 1e-29  # 800 times 2^-106: more than a thousand rounding errors of double-double operations
+
+
+def _orient() -> np.ndarray:
+    formula = Formula(3)
+    a, b, c = formula.inputs
+    formula.dot(c, formula.cross(a, b))
+    return formula.steps()
+
+
+def _insphere() -> np.ndarray:
+    formula = Formula(4)
+    a, b, c, d = formula.inputs
+    ab, cd = formula.cross(a, b), formula.cross(c, d)
+    dab, abc, bcd, cda = formula.dot(d, ab), formula.dot(c, ab), formula.dot(b, cd), formula.dot(a, cd)
+    lift = [formula.dot(v, v) for v in formula.inputs]
+    formula.step(ADD, formula.minor(lift[3], abc, lift[2], dab), formula.minor(lift[1], cda, lift[0], bcd))
+    return formula.steps()
+
+
+def _edge() -> np.ndarray:
+    formula = Formula(2)
+    formula.dot(*formula.inputs)
+    return formula.steps()
+
+
+def _triangle() -> np.ndarray:
+    formula = Formula(3)
+    u, v, w = formula.inputs
+    uu, vv, ww = formula.dot(u, u), formula.dot(v, v), formula.dot(w, w)
+    uv, uw, vw = formula.dot(u, v), formula.dot(u, w), formula.dot(v, w)
+    terms = ((uu, formula.minor(vv, ww, vw, vw)), (vv, formula.minor(vw, uw, ww, uv)), (ww, formula.minor(uv, vw, vv, uw)))
+    formula.total(*(formula.step(MULTIPLY, length, minor) for length, minor in terms))
+    return formula.steps()
+
+
+ORIENT, INSPHERE, EDGE, TRIANGLE = _orient(), _insphere(), _edge(), _triangle()
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
+    """A number with the sign of det[a-d, b-d, c-d]: positive when a, b, c turn clockwise seen from d; 0 exactly when coplanar."""
+    dx, dy, dz = points[d, 0], points[d, 1], points[d, 2]
+    adx, ady, adz = points[a, 0] - dx, points[a, 1] - dy, points[a, 2] - dz
+    bdx, bdy, bdz = points[b, 0] - dx, points[b, 1] - dy, points[b, 2] - dz
+    cdx, cdy, cdz = points[c, 0] - dx, points[c, 1] - dy, points[c, 2] - dz
+    bc, cb = bdx * cdy, cdx * bdy
+    ca, ac = cdx * ady, adx * cdy
+    ab, ba = adx * bdy, bdx * ady
+    det = adz * (bc - cb) + bdz * (ca - ac) + cdz * (ab - ba)
+    permanent = (abs(bc) + abs(cb)) * abs(adz) + (abs(ca) + abs(ac)) * abs(bdz) + (abs(ab) + abs(ba)) * abs(cdz)
+    bound = ORIENT_BOUND * permanent
+    if det > bound or -det > bound:
+        return det
+    if permanent == 0.0 and (adz == 0.0 and bdz == 0.0 and cdz == 0.0):
+        return 0.0
+    return exact_sign(points, np.array([a, b, c, d]), ORIENT, ws)
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
+    """A number with the sign of the in-sphere determinant: positive when e lies inside the sphere through a, b, c, d, which must be
+    positively oriented (orient3d > 0); 0 exactly when cospherical."""
+    ex, ey, ez = points[e, 0], points[e, 1], points[e, 2]
+    aex, aey, aez = points[a, 0] - ex, points[a, 1] - ey, points[a, 2] - ez
+    bex, bey, bez = points[b, 0] - ex, points[b, 1] - ey, points[b, 2] - ez
+    cex, cey, cez = points[c, 0] - ex, points[c, 1] - ey, points[c, 2] - ez
+    dex, dey, dez = points[d, 0] - ex, points[d, 1] - ey, points[d, 2] - ez
+    aebe, beae = aex * bey, bex * aey
+    bece, cebe = bex * cey, cex * bey
+    cede, dece = cex * dey, dex * cey
+    deae, aede = dex * aey, aex * dey
+    aece, ceae = aex * cey, cex * aey
+    bede, debe = bex * dey, dex * bey
+    ab, bc, cd, da, ac, bd = aebe - beae, bece - cebe, cede - dece, deae - aede, aece - ceae, bede - debe
+    abc = aez * bc - bez * ac + cez * ab
+    bcd = bez * cd - cez * bd + dez * bc
+    cda = cez * da + dez * ac + aez * cd
+    dab = dez * ab + aez * bd + bez * da
+    alift = aex * aex + aey * aey + aez * aez
+    blift = bex * bex + bey * bey + bez * bez
+    clift = cex * cex + cey * cey + cez * cez
+    dlift = dex * dex + dey * dey + dez * dez
+    det = (dlift * abc - clift * dab) + (blift * cda - alift * bcd)
+    mx = max(max(abs(aex), abs(bex)), max(abs(cex), abs(dex)))
+    my = max(max(abs(aey), abs(bey)), max(abs(cey), abs(dey)))
+    mz = max(max(abs(aez), abs(bez)), max(abs(cez), abs(dez)))
+    bound = INSPHERE_STATIC * mx * my * mz * max(max(alift, blift), max(clift, dlift))
+    if det > bound or -det > bound:
+        return det
+    az, bz, cz, dz = abs(aez), abs(bez), abs(cez), abs(dez)
+    pab, pbc, pcd = abs(aebe) + abs(beae), abs(bece) + abs(cebe), abs(cede) + abs(dece)
+    pda, pac, pbd = abs(deae) + abs(aede), abs(aece) + abs(ceae), abs(bede) + abs(debe)
+    permanent = (
+        (pcd * bz + pbd * cz + pbc * dz) * alift
+        + (pda * cz + pac * dz + pcd * az) * blift
+        + (pab * dz + pbd * az + pda * bz) * clift
+        + (pbc * az + pac * bz + pab * cz) * dlift
+    )
+    bound = INSPHERE_BOUND * permanent
+    if det > bound or -det > bound:
+        return det
+    rows = np.array([a, b, c, d, e])
+    det = evaluate(points, rows, INSPHERE, np.empty((12 + len(INSPHERE), 2)))
+    bound = DD_BOUND * permanent
+    if det > bound or -det > bound:
+        return det
+    return exact_sign(points, rows, INSPHERE, ws)
+
+
+@njit("boolean(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> bool:
+    """True unless c lies strictly inside the smallest sphere of the edge (a, b)."""
+    x = (points[a, 0] - points[c, 0]) * (points[b, 0] - points[c, 0])
+    y = (points[a, 1] - points[c, 1]) * (points[b, 1] - points[c, 1])
+    z = (points[a, 2] - points[c, 2]) * (points[b, 2] - points[c, 2])
+    dot = x + y + z
+    bound = DOT_BOUND * (abs(x) + abs(y) + abs(z))
+    if dot > bound:
+        return True
+    if -dot > bound:
+        return False
+    return exact_sign(points, np.array([a, b, c]), EDGE, ws) >= 0.0
+
+
+@njit("boolean(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> bool:
+    """True unless a lies strictly inside the smallest circumsphere of the triangle (b, c, d).
+
+    With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the circumcentre of the
+    tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the circumcentre lies on the far side of the triangle.
+    """
+    ux, uy, uz = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
+    vx, vy, vz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
+    wx, wy, wz = points[d, 0] - points[b, 0], points[d, 1] - points[b, 1], points[d, 2] - points[b, 2]
+    uu, vv, ww = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
+    uv, uw, vw = ux * vx + uy * vy + uz * vz, ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    value = uu * (vv * ww - vw * vw) + vv * (vw * uw - ww * uv) + ww * (uv * vw - vv * uw)
+    bound = GABRIEL_BOUND * uu * vv * ww
+    if value > bound:
+        return True
+    if -value > bound:
+        return False
+    rows = np.array([a, c, d, b])
+    value = evaluate(points, rows, TRIANGLE, np.empty((9 + len(TRIANGLE), 2)))
+    bound = DD_BOUND * uu * vv * ww
+    if value > bound:
+        return True
+    if -value > bound:
+        return False
+    return exact_sign(points, rows, TRIANGLE, ws) >= 0.0
