@@ -19,7 +19,7 @@ from tests.raster_cases import cameras, mlp, soup
 from paper_artifact.raster import draws, functions, threads, twin
 
 BACKGROUND = [1.0, 0.9, 0.8]
-FLIPS = 2e-3  # largest allowed fraction of pixels where the two disagree on the visible triangle
+FLIPS = 5e-4  # largest allowed fraction of pixels where the two disagree on the visible triangle
 
 
 class Case(NamedTuple):
@@ -32,14 +32,14 @@ class Case(NamedTuple):
     flipped: torch.Tensor  # (B,H,W) bool
 
 
-def make_case(seed: int, count: int = 200, size: int = 64, views: int = 3, stochastic: bool = True) -> Case:
+def make_case(seed: int, count: int = 200, size: tuple[int, int] = (64, 56), views: int = 3, stochastic: bool = True) -> Case:
     single = {name: value.float() for name, value in soup(seed, count, size=0.35).items()}
     single["matrices"] = cameras(seed, views, distance=3.0).float()
     single |= {f"mlp{index}": value.float() for index, value in enumerate(mlp(seed))}
     double = {name: value.double() for name, value in single.items()}
     keys = [draws.view_key(seed, 17, view) for view in range(views)] if stochastic else None
-    fast = functions.rasterize(single["vertices"], single["opacity"], single["matrices"].numpy(), size, size, keys)
-    reference = twin.rasterize(double["vertices"], double["opacity"], double["matrices"], size, size, keys)
+    fast = functions.rasterize(single["vertices"], single["opacity"], single["matrices"].numpy(), *size, keys)
+    reference = twin.rasterize(double["vertices"], double["opacity"], double["matrices"], *size, keys)
     flipped = torch.from_numpy(fast.triangle_image()).long() != reference.triangle
     return Case(single, double, fast, reference, flipped)
 
@@ -79,8 +79,8 @@ def test_both_see_the_same_triangles_at_the_same_place(stochastic):
         values = view.fragment_value[view.visible[same]]
         for column, image in enumerate((case.reference.b0, case.reference.b1, case.reference.depth)):
             error = np.abs(values[:, column] - image[index].reshape(-1).numpy()[same])
-            assert np.quantile(error, 0.99) < 1e-4  # a needle's barycentrics may be worse, but not often
-            assert error.max() < 1e-2
+            assert np.quantile(error, 0.99) < 1e-5  # a needle's barycentrics may be worse, but not often
+            assert error.max() < 1e-3
 
 
 def test_shading_and_its_gradients_agree():
@@ -91,13 +91,13 @@ def test_shading_and_its_gradients_agree():
             tensors[name].requires_grad_()
     fast, reference = shade_both(case)
     kept = ~case.flipped[:, None].expand_as(fast)
-    assert (fast.double() - reference)[kept].abs().max() < 1e-3
+    assert (fast.double() - reference)[kept].abs().max() < 1e-4
     assert (fast.double() - reference)[kept].abs().mean() < 1e-6
     gradient = incoming(case, 2, margin=0)
     fast.backward(gradient.float())
     reference.backward(gradient)
     for name in leaves:
-        assert distance(case.single[name].grad, case.double[name].grad) < 1e-4, name
+        assert distance(case.single[name].grad, case.double[name].grad) < 1e-5, name
 
 
 def test_edge_gradient_agrees():
@@ -111,7 +111,7 @@ def test_edge_gradient_agrees():
     image.backward(gradient.float())
     twin.edge_gradient(reference_colour, vertices, case.reference, case.double["matrices"]).backward(gradient)
     assert torch.equal(fast_colour.grad, gradient.float())
-    assert distance(fast_vertices.grad, vertices.grad) < 1e-3
+    assert distance(fast_vertices.grad, vertices.grad) < 1e-4
     per_triangle = (fast_vertices.grad.double() - vertices.grad).flatten(1).norm(dim=1)
     size = vertices.grad.flatten(1).norm(dim=1)
     assert (per_triangle > 1e-2 * size + 1e-6 * size.max()).float().mean() < 0.02
@@ -119,14 +119,14 @@ def test_edge_gradient_agrees():
 
 def test_opacity_gradient_agrees_and_has_value_zero():
     case = make_case(4)
-    colour = torch.rand(case.flipped.shape[0], 3, 64, 64, generator=torch.Generator().manual_seed(4))
+    colour = torch.rand(case.flipped.shape[0], 3, 64, 56, generator=torch.Generator().manual_seed(4))
     target = torch.where(case.flipped[:, None], colour, torch.rand(colour.shape, generator=torch.Generator().manual_seed(5)))
     fast_opacity, opacity = case.single["opacity"].requires_grad_(), case.double["opacity"].requires_grad_()
     value = functions.opacity_gradient(fast_opacity, colour, target, case.fast)
     assert value.item() == 0.0
     value.backward()
     twin.opacity_gradient(opacity, colour.double(), target.double(), case.reference).backward()
-    assert distance(fast_opacity.grad, opacity.grad) < 1e-4
+    assert distance(fast_opacity.grad, opacity.grad) < 1e-5
 
 
 @pytest.mark.parametrize("everywhere", [True, False])
@@ -145,7 +145,7 @@ def test_photometric_loss_and_gradient_agree(everywhere):
     assert functions.photometric_loss(colour, target, functions.target_statistics(target)).item() == value.item()
     value.backward()
     expected.backward()
-    assert distance(fast_colour.grad, reference.grad) < 1e-3
+    assert distance(fast_colour.grad, reference.grad) < 1e-4
 
 
 def train_gradients(case: Case, target: torch.Tensor) -> list[torch.Tensor]:
@@ -161,7 +161,7 @@ def train_gradients(case: Case, target: torch.Tensor) -> list[torch.Tensor]:
 
 def test_one_step_of_training_has_the_twins_gradients():
     case = make_case(7)
-    target = torch.rand(3, 3, 64, 64, generator=torch.Generator().manual_seed(7))
+    target = torch.rand(3, 3, 64, 56, generator=torch.Generator().manual_seed(7))
     found = train_gradients(case, target)
     leaves = [case.double[name].clone().requires_grad_() for name in ("vertices", "opacity", "features")]
     weights = tuple(part.clone().requires_grad_() for part in weights_of(case.double))
@@ -170,12 +170,12 @@ def test_one_step_of_training_has_the_twins_gradients():
     colour = twin.edge_gradient(colour, leaves[0], case.reference, case.double["matrices"])
     (twin.photometric_loss(colour, target.double()) + auxiliary).backward()
     for index, (ours, leaf) in enumerate(zip(found, (*leaves, *weights), strict=True)):
-        # Here flips are in: up to .2 % of the pixels, so up to that order in the gradients.
-        assert distance(ours, leaf.grad) < 0.05, index
+        # Here flips are in, if there are any: each is one pixel's share.
+        assert distance(ours, leaf.grad) < 1e-4 + 0.1 * bool(case.flipped.any()), index
 
 
 def test_one_and_two_threads_give_the_same_bits():
-    target = torch.rand(3, 3, 64, 64, generator=torch.Generator().manual_seed(8))
+    target = torch.rand(3, 3, 64, 56, generator=torch.Generator().manual_seed(8))
     one = train_gradients(make_case(8), target)
     threads.set_thread_count(2)
     try:
@@ -185,11 +185,28 @@ def test_one_and_two_threads_give_the_same_bits():
     assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
 
+def test_twin_in_single_precision_as_on_cuda_stays_close_to_double():
+    case = make_case(9)
+    keys = [draws.view_key(9, 17, view) for view in range(3)]
+    gradients, images = [], []
+    for tensors in (case.single, case.double):
+        vertices, background = tensors["vertices"].clone().requires_grad_(), torch.tensor(BACKGROUND, dtype=tensors["vertices"].dtype)
+        raster = twin.rasterize(vertices.detach(), tensors["opacity"], tensors["matrices"], 64, 56, keys)
+        images.append(raster.triangle)
+        colour = twin.shade(tensors["features"], weights_of(tensors), raster, tensors["matrices"], background)
+        assert colour.dtype == vertices.dtype
+        twin.edge_gradient(colour, vertices, raster, tensors["matrices"]).square().sum().backward()
+        gradients.append(vertices.grad)
+    flips = (images[0] != images[1]).float().mean().item()
+    assert flips <= FLIPS
+    assert distance(gradients[0], gradients[1]) < 1e-3 + 0.1 * bool(flips)
+
+
 @settings(max_examples=10, deadline=None, derandomize=True, database=None)
 @given(seed=st.integers(10, 10**6), count=st.integers(1, 120), stochastic=st.booleans())
 def test_any_soup_agrees(seed, count, stochastic):
-    case = make_case(seed, count=count, size=32, views=2, stochastic=stochastic)
-    assert case.flipped.float().mean() <= 4 * FLIPS  # 2,048 pixels: up to 16
+    case = make_case(seed, count=count, size=(32, 40), views=2, stochastic=stochastic)
+    assert case.flipped.sum() <= 2
     fast_colour, reference_colour = shade_both(case)
     kept = ~case.flipped[:, None].expand_as(fast_colour)
     assert (fast_colour.double() - reference_colour)[kept].abs().max() < 1e-2
@@ -197,4 +214,4 @@ def test_any_soup_agrees(seed, count, stochastic):
     fast_vertices, vertices = case.single["vertices"].requires_grad_(), case.double["vertices"].requires_grad_()
     functions.edge_gradient(fast_colour, fast_vertices, case.fast).backward(gradient.float())
     twin.edge_gradient(reference_colour, vertices, case.reference, case.double["matrices"]).backward(gradient)
-    assert float((fast_vertices.grad.double() - vertices.grad).norm()) <= 0.01 * float(vertices.grad.norm()) + 1e-6
+    assert float((fast_vertices.grad.double() - vertices.grad).norm()) <= 1e-3 * float(vertices.grad.norm()) + 1e-6
