@@ -1,0 +1,302 @@
+"""The plan and the loss on raw points: the paper's equation by hand, Lemma 1, the Gabriel gate, bundles."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from paper_artifact.errors import InputError
+from paper_artifact.topology.bundle import Bundle, build_bundle, build_from_mesh, bundle_from_json, load_bundle
+from paper_artifact.topology.curvature import pair_weights
+from paper_artifact.topology.floor import measurement_floor, median_spacing, significant, uniform_spacing
+from paper_artifact.topology.gabriel import coface_of_value, passes_gate
+from paper_artifact.topology.loss import TopologyLoss
+from paper_artifact.topology.persistence import alpha_persistence
+from paper_artifact.topology.plan import Plan, PlanOptions, Term, build_plan
+
+
+def sphere(seed: int, count: int = 400) -> np.ndarray:
+    directions = np.random.default_rng(seed).standard_normal((count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def handmade_bundle(target: list, dimension: int, samples: int, floor: float = 0.05, diagonal: float = 1.0) -> Bundle:
+    bars = [np.zeros((0, 2))] * 3
+    bars[dimension] = np.array(target, dtype=np.float64).reshape(-1, 2)
+    return Bundle(tuple(bars), (dimension,), ("", "", ""), samples, 0, floor, 6.0, diagonal, "handmade", "sha256:")
+
+
+@pytest.fixture(scope="module")
+def void():
+    """A sphere's bundle and a dented, noisy sphere of the same density."""
+    bundle = build_bundle(sphere(0), 2 * 3**0.5, shape="sphere")
+    live = sphere(1) * [1, 1, 0.8] + 0.01 * np.random.default_rng(2).standard_normal((400, 3))
+    return bundle, live
+
+
+def test_bundle_of_a_sphere_is_its_void(void):
+    bundle, _ = void
+    assert bundle.dimensions == (2,)
+    assert [len(bars) for bars in bundle.bars] == [0, 0, 1]
+    assert bundle.bars[2][0, 1] == pytest.approx(1 / (2 * 3**0.5), rel=0.05)  # death at the centre: radius 1 over the diagonal
+    assert bundle.reasons[2].startswith("matched: 1 significant") and bundle.reasons[1].startswith("not acted on")
+    assert bundle.floor == measurement_floor(sphere(0), 2 * 3**0.5)
+
+
+def test_loss_equals_the_equation_on_gudhis_diagram(void):
+    bundle, live = void
+    loss = TopologyLoss(bundle)
+    value = loss(torch.tensor(live)).item()
+    bars = alpha_persistence(live / bundle.diagonal, method="gudhi")[2].diagram
+    bars = bars[significant(bars, bundle.floor)]
+    assert len(bars) == 1
+    assert value == pytest.approx(((bars[0] - bundle.bars[2][0]) ** 2).sum(), rel=1e-9)
+    report = loss.plan.report["dimensions"]["2"]
+    assert (report["matched"], report["diagonal"], report["recruited"], report["unreached"]) == (1, 0, 0, 0)
+    assert report["gabriel_failures"] == 0
+    np.testing.assert_allclose(report["targets"][0]["live"], bars[0], rtol=1e-9)
+
+
+def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
+    """Frozen pairs are locally exact: moving one used point a little changes the recomputed diagram as the gradient says."""
+    bundle, live = void
+    points = torch.tensor(live, requires_grad=True)
+    loss = TopologyLoss(bundle)
+    loss(points).backward()
+    used = loss.plan.used.numpy()
+    assert (torch.linalg.vector_norm(points.grad, dim=1) > 0).sum() == len(used) == 7
+    for index in used[:3]:
+        for axis in range(3):
+            values = []
+            for shift in (1e-6, -1e-6):
+                moved = live.copy()
+                moved[index, axis] += shift
+                values.append(TopologyLoss(bundle)(torch.tensor(moved)).item())
+            assert (values[0] - values[1]) / 2e-6 == pytest.approx(points.grad[index, axis].item(), rel=1e-4, abs=1e-8)
+
+
+def test_plan_value_gradcheck_with_every_kind_of_term():
+    positions = torch.tensor(np.random.default_rng(0).random((9, 3)), requires_grad=True)
+    plan = Plan((Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True), Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
+                 Term(2, "recruited", 0.2, 0.3, (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), True, 2.0),
+                 Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.3, 0.9), False)), 9, {})
+    assert torch.autograd.gradcheck(plan.value, (positions,), eps=1e-7, atol=1e-6)
+    unsound = (0.1 - 0.3) ** 2 + (0.4 - 0.9) ** 2  # the last term keeps its refresh value
+    rest = Plan(plan.terms[:3], 9, {}).value(positions).item()
+    assert plan.value(positions).item() == pytest.approx(rest + unsound, rel=1e-12)
+
+
+def test_lemma_1():
+    """Without recruitment the gradient is independent of an unmatched target; with it, it is not (paper, Lemma 1)."""
+    generator = np.random.default_rng(0)
+    # One blob of two clumps: its longest finite H0 bar is below the floor, so the target component stays unmatched.
+    cloud = np.vstack([generator.random((40, 3)), generator.random((40, 3)) + [1.3, 0, 0]])
+    gradients = {}
+    for recruitment in (False, True):
+        for death in (0.8, 1.1):
+            bundle = handmade_bundle([[0.0, death]], 0, 80, floor=0.7)
+            points = torch.tensor(cloud, requires_grad=True)
+            loss = TopologyLoss(bundle, recruitment=recruitment)
+            loss(points).backward()
+            report = loss.plan.report["dimensions"]["0"]
+            assert report["significant"] == 0
+            assert (report["recruited"], report["unreached"]) == ((1, 0) if recruitment else (0, 1))
+            gradients[recruitment, death] = points.grad
+    assert torch.equal(gradients[False, 0.8], gradients[False, 1.1]) and not gradients[False, 0.8].any()
+    assert gradients[True, 0.8].any()
+    assert (gradients[True, 0.8] - gradients[True, 1.1]).abs().max() > 0.1
+    # A matched bar beside the unmatched target: its pull does not see that target either.
+    far = np.vstack([cloud, generator.random((40, 3)) + [6, 0, 0]])
+    pulls = []
+    for second in (0.8, 1.1):
+        points = torch.tensor(far, requires_grad=True)
+        TopologyLoss(handmade_bundle([[0.0, 2.0], [0.0, second]], 0, 120, floor=0.7), recruitment=False)(points).backward()
+        pulls.append(points.grad)
+    assert pulls[0].any() and torch.equal(pulls[0], pulls[1])
+
+
+def test_recruited_bars_leave_the_diagonal_term():
+    generator = np.random.default_rng(1)
+    clumps = [generator.random((20, 3)) * 0.2 + [x, 0, 0] for x in (0.0, 1.0, 2.2)]
+    cloud = np.vstack(clumps)
+    bundle = handmade_bundle([[0.0, 3.0]], 0, 60, floor=0.3)  # so persistent that leaving both at the diagonal is not cheaper
+    with_term = build_plan(cloud, bundle, PlanOptions(recruitment=True)).report["dimensions"]["0"]
+    without = build_plan(cloud, bundle, PlanOptions(recruitment=False)).report["dimensions"]["0"]
+    assert without["significant"] == with_term["significant"] == 2
+    assert without["matched"] + without["diagonal"] == 2
+    assert with_term["matched"] + with_term["recruited"] == 1 and with_term["diagonal"] == 1
+    assert with_term["unreached"] == 0
+
+
+def test_frozen_plan_follows_live_points_until_the_next_refresh(void):
+    bundle, live = void
+    loss = TopologyLoss(bundle, refresh_every=3)
+    points = torch.tensor(live)
+    plans = []
+    for _ in range(7):
+        loss(points)
+        plans.append(loss.plan)
+    assert plans[0] is plans[2] and plans[2] is not plans[3] and plans[3] is plans[5] and plans[6] is not plans[5]
+    scaled = loss(points * 1.1).item()
+    bar = 1.1 * np.array(plans[6].report["dimensions"]["2"]["targets"][0]["live"])
+    assert scaled == pytest.approx(((bar - bundle.bars[2][0]) ** 2).sum(), rel=1e-9)
+
+
+def test_noise_reaches_the_plan_but_not_the_values(void):
+    bundle, live = void
+    loss = TopologyLoss(bundle, noise=0.01, seed=3, refresh_every=0)
+    plan = loss.refresh(live)
+    value = loss(torch.tensor(live)).item()
+    assert plan.report["live_floor"] > measurement_floor(live, bundle.diagonal)
+    (births, deaths) = plan.coordinates(live[plan.used.numpy()] / bundle.diagonal)
+    expected = ((births - bundle.bars[2][0, 0]) ** 2 + (deaths - bundle.bars[2][0, 1]) ** 2).sum()
+    assert value == pytest.approx(expected, rel=1e-12)
+    assert abs(deaths[0] - plan.terms[0].death) > 1e-6  # the plan's own value is the noisy one
+    assert TopologyLoss(bundle, noise=0.01, seed=3).refresh(live).report == plan.report
+    assert TopologyLoss(bundle, noise=0.01, seed=4).refresh(live).report != plan.report
+
+
+def test_float32_points_keep_their_dtype(void):
+    bundle, live = void
+    points = torch.tensor(live, dtype=torch.float32, requires_grad=True)
+    value = TopologyLoss(bundle)(points)
+    value.backward()
+    assert value.dtype == points.grad.dtype == torch.float32
+    assert value.item() == pytest.approx(TopologyLoss(bundle)(torch.tensor(live)).item(), rel=1e-3)
+
+
+def test_live_floor_is_an_option(void):
+    bundle, live = void
+    assert build_plan(live / bundle.diagonal, bundle).report["floor"] == bundle.floor
+    report = build_plan(live / bundle.diagonal, bundle, PlanOptions(floor_source="live")).report
+    assert report["floor"] == report["live_floor"] == measurement_floor(live, bundle.diagonal)
+
+
+class _FakePairs:
+    """A loop whose birth value is not the birth edge's own radius, as a non-Gabriel edge has it."""
+
+    def __init__(self, cloud, birth_edge, birth, triangle, death):
+        self.births, self.deaths = np.array([birth]), np.array([death])
+        self.birth_simplices, self.death_simplices = np.array([birth_edge]), np.array([triangle])
+
+
+@pytest.fixture
+def non_gabriel(monkeypatch):
+    """Edge 0-1 has point 2 inside its smallest sphere, so it enters with triangle 0-1-2; a far triangle kills the loop."""
+    cloud = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0.5, 0], [9, 0, 0], [9, 6, 0], [13, 3, 1]])
+    birth = 1.25  # circumradius of 0-1-2: sides 2, sqrt(1.25), sqrt(1.25), area .5
+    death = float(np.linalg.norm(np.linalg.lstsq(cloud[4:] - cloud[3], ((cloud[4:] - cloud[3]) ** 2).sum(axis=1) / 2, rcond=None)[0]))
+    pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
+    monkeypatch.setattr("paper_artifact.topology.persistence.alpha_persistence", lambda points, method="fast": (None, pairs, None))
+    return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
+
+
+def test_gate_detaches_and_counts(non_gabriel):
+    cloud, bundle, birth, death = non_gabriel
+    assert not passes_gate(cloud, np.array([[0, 1]]), np.array([birth]))[0]
+    plan = build_plan(cloud, bundle)
+    assert plan.report["dimensions"]["1"]["gabriel_failures"] == 1 and plan.failing == ((0, 1),)
+    points = torch.tensor(cloud[plan.used.numpy()], requires_grad=True)
+    value = plan.value(points)
+    value.backward()
+    assert value.item() == pytest.approx((birth - 1) ** 2 + (death - 4) ** 2, rel=1e-12)
+    assert not points.grad.any()
+
+
+def test_fallback_drop_takes_the_bar_out_before_the_matching(non_gabriel):
+    cloud, bundle, _, _ = non_gabriel
+    plan = build_plan(cloud, bundle, PlanOptions(fallback="drop"))
+    report = plan.report["dimensions"]["1"]
+    assert len(plan) == 0 and report["gabriel_failures"] == 1 and report["unreached"] == 1
+    assert plan.value(torch.zeros((0, 3), dtype=torch.float64)).item() == 0.0
+
+
+def test_fallback_subgradient_differentiates_the_coface_that_sets_the_value(non_gabriel):
+    cloud, bundle, birth, death = non_gabriel
+    assert list(coface_of_value(cloud, np.array([0, 1]), birth)) == [0, 1, 2]
+    assert coface_of_value(cloud, np.array([0, 1]), 1.9) is None
+    plan = build_plan(cloud, bundle, PlanOptions(fallback="subgradient"))
+    assert plan.report["dimensions"]["1"]["gabriel_failures"] == 1
+    points = torch.tensor(cloud[plan.used.numpy()], requires_grad=True)
+    plan.value(points).backward()
+    # dL/d(p2) = 2 (birth - 1) dR/dp2; for this isosceles triangle R = h/2 + 1/(2h), h = 1/2 the height, so dR/dh = 1/2 - 1/(2h²).
+    np.testing.assert_allclose(points.grad[2].numpy(), [0, 2 * (birth - 1) * (0.5 - 2.0), 0], atol=1e-12)
+
+
+def test_flat_cases_and_wrong_density_are_refused(void):
+    bundle, live = void
+    loss = TopologyLoss(bundle)
+    plane = live * [1, 1, 0]
+    for bad, words in ((live[:3], "at least 4 points"), (live[:200], "built at M = 400"), (plane, "in one plane"),
+                       (np.where(np.arange(400)[:, None] == 7, np.nan, live), "not finite")):
+        with pytest.raises(InputError, match=words):
+            loss(torch.tensor(bad))
+    with pytest.raises(InputError, match="floating-point"):
+        loss(torch.zeros((400, 3), dtype=torch.int64))
+    with pytest.raises(InputError, match="samples a surface again"):
+        TopologyLoss(bundle, fallback="denser")
+    with pytest.raises(InputError, match="unknown Gabriel fallback"):
+        TopologyLoss(bundle, fallback="ignore")
+    with pytest.raises(InputError, match="unknown floor source"):
+        TopologyLoss(bundle, floor_source="none")
+    with pytest.raises(InputError, match="no plan yet"):
+        TopologyLoss(bundle, refresh_every=0)(torch.tensor(live))
+
+
+def test_bundle_refuses_empty_dimensions_and_names_them():
+    with pytest.raises(InputError, match="no significant bar in dimension 1 at M = 400"):
+        build_bundle(sphere(0), 3.46, dimensions=(1,))
+    with pytest.raises(InputError, match="dimension 3 does not exist"):
+        build_bundle(sphere(0), 3.46, dimensions=(3,))
+    with pytest.raises(InputError, match="cannot be suppressed"):
+        build_bundle(sphere(0), 3.46, suppress=(2,))
+    with pytest.raises(InputError, match="in any dimension"):
+        build_bundle(np.random.default_rng(0).random((100, 3)), 3**0.5)
+    both = build_bundle(sphere(0), 3.46, suppress=(1,))
+    assert both.dimensions == (1, 2) and both.reasons[1].startswith("suppressed on purpose")
+
+
+def test_bundle_json_round_trip_and_damage(tmp_path, void):
+    bundle, _ = void
+    path = tmp_path / "bundle.json"
+    bundle.save(path)
+    again = load_bundle(path)
+    assert again.to_json() == bundle.to_json()
+    value = json.loads(path.read_text())
+    for change in ({"format": "other"}, {"floor": 9.0}, {"bars": [[], []]}, {"samples": None}, {"dimensions": []}, {"diagonal": 0.0}):
+        with pytest.raises(InputError):
+            bundle_from_json({**value, **change})
+    path.write_text("{")
+    with pytest.raises(InputError, match="cannot read the bundle"):
+        load_bundle(path)
+
+
+def test_bundle_from_mesh_is_a_function_of_its_seed_and_knows_its_mesh():
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([[a, b, c] for a, b, c, d in quads] + [[a, c, d] for a, b, c, d in quads])
+    first, again = (build_from_mesh(corners, faces, 600, 1, shape="cube") for _ in range(2))
+    other = build_from_mesh(corners, faces, 600, 2, shape="cube")
+    assert first.to_json() == again.to_json() and first.source == other.source and first.floor != other.floor
+    assert first.diagonal == pytest.approx(3**0.5) and first.dimensions == (2,)
+
+
+def test_uniform_spacing_law():
+    points = np.random.default_rng(0).random((20000, 3)) * [1, 1, 0]
+    assert median_spacing(points) == pytest.approx(uniform_spacing(1.0, 20000), rel=0.02)
+    with pytest.raises(InputError, match="positive area"):
+        uniform_spacing(0.0, 10)
+
+
+def test_curvature_weights_grow_where_the_surface_bends():
+    cube = np.random.default_rng(0).random((3000, 3))
+    axis = np.arange(3000) % 3
+    cube[np.arange(3000), axis] = 0.0  # three faces of a cube meeting at the origin
+    edge = int(np.argmin(np.abs(cube[:, 0]) + np.abs(cube[:, 1]) + np.abs(cube[:, 2] - 0.5)))
+    flat = int(np.argmin(np.linalg.norm(cube - [0, 0.5, 0.5], axis=1)))
+    weights = pair_weights(cube, [(edge,), (flat,)])
+    assert weights[0] > 2 and weights[1] == 0.25
+    np.testing.assert_array_equal(pair_weights(cube * [1, 1, 0], [(0, 1), (2,)]), [1, 1])
