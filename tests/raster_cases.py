@@ -22,7 +22,7 @@ def look_at(centre, target=(0.0, 0.0, 0.0), focal: float = 3.0, near: float = 0.
 
 
 def front_camera(distance: float = 4.0, focal: float = 1.8) -> torch.Tensor:
-    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance looking along +z, image x = world x, image y = world y."""
+    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance looking along +z: image x is world x, y is y."""
     near, far = 0.5, 10.0
     matrix = torch.diag(torch.tensor([focal, focal, (far + near) / (far - near), 0.0], dtype=torch.float64))
     matrix[2, 3] = distance * (far + near) / (far - near) - 2 * far * near / (far - near)

@@ -1,8 +1,8 @@
 """The numba rasterizer (float32) against the torch twin (float64), in two tiers.
 
 First tier: wherever both see the same triangle, barycentrics, depth and every gradient agree tightly. Second tier: pixels where
-rounding lets another fragment win are counted, and stay a small fraction. Gradients are compared with the incoming gradient set to 0 on
-counted pixels (for the edge gradient also on their neighbours), so that no tolerance has to hide a flip.
+rounding lets another fragment win are counted, and stay a small fraction. Gradients are compared with the incoming gradient set
+to 0 on counted pixels (for the edge gradient also on their neighbours), so that no tolerance has to hide a flip.
 """
 
 from __future__ import annotations
@@ -165,7 +165,8 @@ def test_one_step_of_training_has_the_twins_gradients():
     found = train_gradients(case, target)
     leaves = [case.double[name].clone().requires_grad_() for name in ("vertices", "opacity", "features")]
     weights = tuple(part.clone().requires_grad_() for part in weights_of(case.double))
-    colour = twin.shade(leaves[2], weights, case.reference, case.double["matrices"], torch.tensor(BACKGROUND, dtype=torch.float64))
+    background = torch.tensor(BACKGROUND, dtype=torch.float64)
+    colour = twin.shade(leaves[2], weights, case.reference, case.double["matrices"], background)
     auxiliary = twin.opacity_gradient(leaves[1], colour, target.double(), case.reference)
     colour = twin.edge_gradient(colour, leaves[0], case.reference, case.double["matrices"])
     (twin.photometric_loss(colour, target.double()) + auxiliary).backward()
@@ -190,7 +191,8 @@ def test_twin_in_single_precision_as_on_cuda_stays_close_to_double():
     keys = [draws.view_key(9, 17, view) for view in range(3)]
     gradients, images = [], []
     for tensors in (case.single, case.double):
-        vertices, background = tensors["vertices"].clone().requires_grad_(), torch.tensor(BACKGROUND, dtype=tensors["vertices"].dtype)
+        vertices = tensors["vertices"].clone().requires_grad_()
+        background = torch.tensor(BACKGROUND, dtype=vertices.dtype)
         raster = twin.rasterize(vertices.detach(), tensors["opacity"], tensors["matrices"], 64, 56, keys)
         images.append(raster.triangle)
         colour = twin.shade(tensors["features"], weights_of(tensors), raster, tensors["matrices"], background)

@@ -105,6 +105,10 @@ def edge_gradient(colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, 
     triangle on both; or p's triangle goes on under q and q's is farther or background), at the crossing of the triangle's
     border (q outside it, and farther or background), or, where two triangles pass through each other between p and q,
     along p's normal as far as that moves the crossing line. Summed over the views.
+
+    Two habits of DiffSoup are kept as they are: a pair inside one triangle is met from both its pixels and so counts twice, and a
+    crossing line that is slanted in the image gets its z part from row and column neighbours both. Borders and opacity edges
+    are met once and agree with the derivative of the exact integral (tests/test_twin.py).
     """
     return _EdgeGradient.apply(colour, vertices, raster, world_to_clip)
 
