@@ -151,7 +151,7 @@ def _two_spheres(generator, gap: float, each: int) -> np.ndarray:
 
 
 def _spacing(generator):
-    return _two_spheres(generator, LIVE_GAP, 512), _two_spheres(generator, TARGET_GAP, 512), 0, 0.01, 600
+    return _two_spheres(generator, LIVE_GAP, 512), _two_spheres(generator, TARGET_GAP, 512), 0, 0.03, 1000
 
 
 def _bridge(generator):

@@ -1,0 +1,257 @@
+"""The training-side term: schedule, calibration, refreshes, log, conditions, the repulsion control, independence of the package."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from paper_artifact.errors import InputError
+from paper_artifact.topology.bundle import Bundle, build_bundle
+from paper_artifact.topology.conditions import CONDITIONS, get_condition
+from paper_artifact.topology.controls import neighbour_pairs, repulsion
+from paper_artifact.topology.plan import Plan, Term
+from paper_artifact.topology.samples import draw_samples, samples_stream
+from paper_artifact.topology.schedule import peak_weight, ramp_factor
+from paper_artifact.topology.term import TopologyTerm, _denser, make_term
+
+M = 600
+
+
+def octahedron_soup(refinements: int = 2) -> np.ndarray:
+    """The unit sphere as a soup (T,3,3): an octahedron refined and pushed out."""
+    corners = np.array([[sx, 0, 0] for sx in (1, -1)] + [[0, sy, 0] for sy in (1, -1)] + [[0, 0, sz] for sz in (1, -1)], dtype=float)
+    soup = np.array([[corners[a], corners[b], corners[c]] for a in (0, 1) for b in (2, 3) for c in (4, 5)])
+    for _ in range(refinements):
+        middle = [(soup[:, i] + soup[:, j]) / 2 for i, j in ((0, 1), (1, 2), (2, 0))]
+        soup = np.concatenate([np.stack(t, axis=1) for t in ((soup[:, 0], middle[0], middle[2]), (middle[0], soup[:, 1], middle[1]),
+                                                             (middle[2], middle[1], soup[:, 2]), tuple(middle))])
+        soup = soup / np.linalg.norm(soup, axis=2, keepdims=True)
+    return soup
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    samples = draw_samples(octahedron_soup(), None, M, samples_stream(9, 0))
+    return build_bundle(samples.positions(torch.tensor(octahedron_soup())).numpy(), 2 * 3**0.5, shape="sphere")
+
+
+def live_soup() -> torch.Tensor:
+    return torch.tensor(octahedron_soup() * [0.8, 1, 1], dtype=torch.float32, requires_grad=True)
+
+
+def test_samples_follow_the_vertices_and_carry_gradients():
+    soup = torch.tensor(octahedron_soup(1), requires_grad=True)
+    samples = draw_samples(soup, None, 500, samples_stream(0, 3))
+    positions = samples.positions(soup)
+    torch.testing.assert_close(samples.positions(soup * 2), positions * 2)
+    picked = torch.tensor([4, 77, 499])
+    torch.testing.assert_close(samples.positions(soup, picked), positions[picked])
+    positions.sum().backward()
+    assert soup.grad.sum().item() == pytest.approx(3 * 500)  # barycentrics sum to 1
+    again = draw_samples(soup, None, 500, samples_stream(0, 3))
+    assert torch.equal(again.faces, samples.faces) and torch.equal(again.barycentrics, samples.barycentrics)
+    assert not torch.equal(draw_samples(soup, None, 500, samples_stream(0, 4)).faces, samples.faces)
+
+
+def test_faces_are_drawn_by_opacity_times_area():
+    big, small = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]]), np.array([[5, 0, 0], [6, 0, 0], [5, 1, 0]])
+    soup = np.stack([big, small, big + 20.0]).astype(float)
+    opacity = np.array([[0.25, 0.25, 0.25], [0.5, 1.0, 0.75], [0.0, 0.0, 0.0]])
+    counts = np.bincount(draw_samples(soup, opacity, 20000, samples_stream(0, 0)).faces.numpy(), minlength=3)
+    assert counts[2] == 0
+    assert counts[0] / 20000 == pytest.approx((4 * 0.25) / (4 * 0.25 + 0.75), abs=0.015)
+    flat = draw_samples(soup, opacity.mean(axis=1), 20000, samples_stream(0, 0))
+    assert np.array_equal(np.bincount(flat.faces.numpy(), minlength=3), counts)
+
+
+def test_bad_soups_are_refused():
+    soup = octahedron_soup(0)
+    for vertices, opacity, words in ((soup * np.nan, None, "finite vertices"), (soup[:, :2], None, "finite vertices"),
+                                     (soup, np.zeros(8), "no finite, positive area"), (soup, np.ones(5), "opacity must be"),
+                                     (soup, -np.ones(8), "opacity must be"), (soup[:0], None, "no finite, positive area")):
+        with pytest.raises(InputError, match=words):
+            draw_samples(vertices, opacity, 10, samples_stream(0, 0))
+    with pytest.raises(InputError, match="refresh after every resampling"):
+        draw_samples(soup, None, 10, samples_stream(0, 0)).positions(torch.tensor(soup[:5]))
+
+
+def test_ramp_and_calibration():
+    assert [ramp_factor(step, 2500, (0.2, 0.5)) for step in (0, 500, 875, 1250, 2499)] == pytest.approx([0, 0, 0.5, 1, 1])
+    assert ramp_factor(0, 2500, None) == 1
+    assert peak_weight(0.1, 3.0, 0.5) == pytest.approx(0.6)
+    for photo, topo in ((0.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.inf), (1e308, 1e-300)):
+        assert peak_weight(0.1, photo, topo) is None
+    for window in ((0.5, 0.5), (-0.1, 0.5), (0.2, 1.5)):
+        with pytest.raises(InputError, match="two fractions"):
+            ramp_factor(0, 10, window)
+
+
+def run(condition: str, bundle: Bundle, steps: int = 100, upto: int = 60, photo: float = 2.0, **options):
+    """Step a soup by the term alone; return (term, {step: λ(t)·L})."""
+    term = make_term(get_condition(condition), bundle, steps, 0, **options)
+    soup, values, asked = live_soup(), {}, []
+    for step in range(upto):
+        term.refresh_if_due(step, soup, torch.full((len(soup), 3), 0.9), resampled=step % 25 == 0)
+        value = term.value(step, soup, lambda: asked.append(1) or photo)
+        if value is not None:
+            soup.grad = None
+            value.backward()
+            values[step] = value.item()
+            with torch.no_grad():
+                soup -= 0.01 * soup.grad / torch.linalg.vector_norm(soup.grad)
+    return term, values, asked
+
+
+def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
+    term, values, asked = run("C1", bundle)
+    assert min(values) == 21 and len(asked) == 1
+    assert [entry["step"] for entry in term.log if entry["event"] == "refresh"] == [21, 25, 35, 45, 50]
+    (weight,) = [entry for entry in term.log if entry["event"] == "lambda"]
+    assert weight["step"] == 21 and term.lambda_peak == weight["lambda_peak"]
+    assert weight["lambda_peak"] == pytest.approx(0.1 * 2.0 / weight["topo_norm"])
+    report = term.log[0]["dimensions"]["2"]
+    assert set(report) == {"significant", "matched", "diagonal", "recruited", "unreached", "gabriel_failures", "targets"}
+    assert report["targets"][0]["target"] == bundle.bars[2][0].tolist() and report["targets"][0]["kind"] == "matched"
+    assert report["matched"] == 1 and report["gabriel_failures"] == 0
+    json.dumps(term.log, allow_nan=False)
+    errors = [abs(e["dimensions"]["2"]["targets"][0]["live"][1] - bundle.bars[2][0, 1]) for e in term.log if e["event"] == "refresh"]
+    assert errors[-1] < errors[0]  # the pull works through the soup's vertices
+
+
+def test_weighted_gradient_norm_is_rho_times_photo_at_full_ramp(bundle):
+    for name in ("C3", "C2"):
+        condition = get_condition(name)
+        term = make_term(condition, bundle, 100, 0)
+        soup = live_soup()
+        step = 0 if condition.ramp is None else 50
+        assert term.refresh_if_due(step, soup, None)
+        term.value(step, soup, 3.0).backward()
+        assert torch.linalg.vector_norm(soup.grad).item() == pytest.approx(0.3, rel=1e-5)
+
+
+def test_runs_repeat_exactly(bundle):
+    for condition in ("C7h", "C2g"):
+        assert run(condition, bundle, upto=40)[0].log == run(condition, bundle, upto=40)[0].log
+
+
+def test_zero_gradient_calibration_is_a_stated_no_op_and_tries_again(bundle):
+    term = make_term(get_condition("C1"), bundle, 100, 0)
+    soup = live_soup()
+    term.refresh_if_due(30, soup, None)
+    assert term.value(30, soup, 0.0) is None and term.lambda_peak is None
+    assert term.log[-1]["event"] == "no-op" and "photometric" in term.log[-1]["reason"]
+    term._channel.plan = Plan((), M, {})  # no bar at all
+    assert term.value(31, soup, 1.0) is None and "topology" in term.log[-1]["reason"]
+    term.refresh_if_due(32, soup, None, resampled=True)
+    assert term.value(32, soup, 1.0) is not None and term.lambda_peak > 0
+
+
+def test_misuse_is_refused(bundle):
+    assert make_term(get_condition("C0"), None, 100, 0) is None
+    with pytest.raises(InputError, match="needs a target bundle"):
+        make_term(get_condition("C1"), None, 100, 0)
+    with pytest.raises(InputError, match="has no topology term"):
+        TopologyTerm(get_condition("C0"), bundle, 100, 0)
+    with pytest.raises(InputError, match=f"built at M = {M} but the loss samples 2048"):
+        make_term(get_condition("C1"), bundle, 100, 0, samples=2048)
+    with pytest.raises(InputError, match="at least 1"):
+        make_term(get_condition("C1"), bundle, 0, 0)
+    with pytest.raises(InputError, match="call refresh_if_due"):
+        make_term(get_condition("C1"), bundle, 100, 0).value(50, live_soup(), 1.0)
+    with pytest.raises(InputError, match="allocation prior"):
+        get_condition("C5")
+    with pytest.raises(InputError, match="unknown condition 'C9'"):
+        get_condition("C9")
+
+
+def test_state_resumes_exactly_where_a_refresh_is_due(bundle):
+    def finish(term, soup, start):
+        for step in range(start, 60):
+            term.refresh_if_due(step, soup, None, resampled=step == 40)
+            soup.grad = None
+            value = term.value(step, soup, 1.0)
+            if value is not None:
+                value.backward()
+                with torch.no_grad():
+                    soup -= 0.1 * soup.grad
+            if step == 39:
+                saved = json.loads(json.dumps(term.state())), soup.detach().clone()
+        return soup.detach(), saved if start == 0 else None
+
+    straight, (state, soup) = finish(make_term(get_condition("C1"), bundle, 100, 0), live_soup(), 0)
+    resumed = make_term(get_condition("C1"), bundle, 100, 0)
+    resumed.load_state(state)
+    again, _ = finish(resumed, soup.requires_grad_(True), 40)
+    assert torch.equal(straight, again) and [e["step"] for e in resumed.log][-2:] == [40, 50]
+
+
+def test_conditions_are_the_papers():
+    assert list(CONDITIONS) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h"]
+    assert all(each.rho == 0.1 for each in CONDITIONS.values())
+    assert CONDITIONS["C2g"].repulsion_radius == CONDITIONS["C2"].repulsion_radius / 2
+    assert CONDITIONS["C3"].ramp is None and CONDITIONS["C1"].ramp == (0.2, 0.5)
+    assert [name for name, each in CONDITIONS.items() if not each.recruitment] == ["C6"]
+    assert (CONDITIONS["C7"].noise, CONDITIONS["C7h"].noise) == (0.005, 0.01)
+
+
+def test_curvature_weighted_condition_weights_the_terms(bundle):
+    weights = {}
+    for name in ("C1", "C4"):
+        term = make_term(get_condition(name), bundle, 100, 0)
+        term.refresh_if_due(30, live_soup(), None)
+        weights[name] = [each.weight for each in term._channel.plan.terms]
+    assert weights["C1"] == [1.0] and weights["C4"] != [1.0] and 0.25 <= weights["C4"][0] <= 4
+
+
+def test_repulsion_gradient_and_cutoff():
+    points = np.random.default_rng(0).random((40, 3))
+    points[1] = points[0]  # no direction: no force
+    pairs = neighbour_pairs(points, 0.3)
+    brute = [(i, j) for i in range(40) for j in range(i + 1, 40) if np.linalg.norm(points[i] - points[j]) < 1.25 * 0.3]
+    assert [tuple(pair) for pair in pairs] == brute
+    energy = sum(max(0.0, 1 - np.linalg.norm(points[i] - points[j]) / 0.3) ** 2 for i, j in brute) / 40
+    assert repulsion(torch.tensor(points), pairs, 0.3).item() == pytest.approx(energy, rel=1e-12)
+    live = torch.tensor(points, requires_grad=True)
+    repulsion(live, pairs, 0.3).backward()
+    assert torch.isfinite(live.grad).all()
+    smooth = torch.tensor(np.delete(points, 1, axis=0)[:15], requires_grad=True)
+    pairs = neighbour_pairs(smooth.detach().numpy(), 0.5)
+    assert torch.autograd.gradcheck(lambda x: repulsion(x, pairs, 0.5), (smooth,), eps=1e-7, atol=1e-6)
+
+
+def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch):
+    import paper_artifact.topology.term as module
+
+    made = []
+
+    def failing_once(cloud, *arguments):
+        plan = real(cloud, *arguments)
+        made.append(len(cloud))
+        return Plan(plan.terms, plan.samples, plan.report, ((0, 1),)) if len(made) == 1 else plan
+
+    real = module.build_plan
+    monkeypatch.setattr(module, "build_plan", failing_once)
+    term = make_term(get_condition("C1"), bundle, 100, 0, fallback="denser")
+    soup = live_soup()
+    term.refresh_if_due(30, soup, None)
+    samples = term._channel.samples
+    triangles = set(samples.faces[:2].tolist())
+    assert made == [M, M + 8 * len(triangles)] == [M, len(samples)] and term.log[0]["denser_rounds"] == 1
+    assert set(samples.faces[M:].tolist()) == triangles
+    assert term.value(30, soup, 1.0) is not None
+    plan = Plan((Term(0, "diagonal", 0.0, 1.0, (0,), (0, 1), None, True),), M, {}, ((5, 6),))
+    assert len(_denser(plan, samples, soup, samples_stream(0, 0))) in (8, 16)
+
+
+def test_package_is_importable_alone():
+    code = ("import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.topology.repair, "
+            "paper_artifact.topology.persistence\n"
+            "parts = {name.split('.')[1] for name in sys.modules if name.startswith('paper_artifact.')}\n"
+            "print(','.join(sorted(parts)))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.strip().split(",")) <= {"errors", "files", "randomness", "sampling", "mesh", "topology"}
