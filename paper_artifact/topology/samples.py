@@ -32,7 +32,7 @@ class FrozenSamples:
         return len(self.faces)
 
     def positions(self, vertices: Tensor, indices: Tensor | None = None) -> Tensor:
-        """Return the samples' positions (M,3) float64, world units, differentiable by `vertices` (T,3,3).
+        """Return the samples' positions (M,3) float64 on the CPU, world units, differentiable by `vertices` (T,3,3) on any device.
 
         indices (m,) int64: only these samples (a frozen-plan step needs a handful). Raises InputError when the soup
         has another number of triangles than the one sampled (it was resampled: refresh first).
@@ -42,7 +42,8 @@ class FrozenSamples:
                              "refresh after every resampling")
         faces = self.faces if indices is None else self.faces[indices]
         weights = self.barycentrics if indices is None else self.barycentrics[indices]
-        return (weights[:, :, None] * vertices[faces].double()).sum(dim=1)
+        corners = vertices[faces.to(vertices.device)].cpu().double()
+        return (weights[:, :, None] * corners).sum(dim=1)
 
     def joined(self, other: FrozenSamples) -> FrozenSamples:
         """Return these samples followed by `other`'s; both of one soup."""

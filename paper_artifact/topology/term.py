@@ -75,7 +75,7 @@ class TopologyTerm:
         return True
 
     def value(self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]) -> Tensor | None:
-        """Return λ(t)·L_topo (scalar, dtype of `vertices`), differentiable by `vertices` (T,3,3), or None while inactive.
+        """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), differentiable by `vertices` (T,3,3), or None while inactive.
 
         photo_gradient_norm: ‖∇V L_photo‖ of this step, or a function that computes it; used once, at calibration. A zero or
         non-finite norm there is a no-op: None is returned, the log says why, and the next step tries again.
@@ -88,7 +88,7 @@ class TopologyTerm:
             raise InputError(f"step {step} is active but has no plan; call refresh_if_due before value")
         if self.lambda_peak is None and not self._calibrate(step, vertices, photo_gradient_norm):
             return None
-        return (self.lambda_peak * factor * self._channel.value(vertices)).to(vertices.dtype)
+        return (self.lambda_peak * factor * self._channel.value(vertices)).to(vertices)
 
     def state(self) -> dict:
         """Return what a resumed run needs (JSON-able). Exact at a step where a refresh is due, as after every resampling."""
