@@ -25,6 +25,7 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.floor import measurement_floor
 
 SAMPLES = 20_000
+TARGETS = RESULTS / "targets"
 DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a record stays small
 
 # The dimension each study shape is judged in (Table 1, Table 2, Tables S2 and S10): a decision of the paper's, not of β alone.
@@ -57,7 +58,7 @@ class Target:
 
 
 def make_target(mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None,
-                cache: Path | None = RESULTS / "targets") -> Target:
+                cache: Path | None = TARGETS) -> Target:
     """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
 
     dimension: the discriminating one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.

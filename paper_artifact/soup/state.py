@@ -76,7 +76,7 @@ def load_soup(path: Path | str) -> Soup:
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
-        with np.load(path) as data:
+        with open(path, "rb") as handle, np.load(handle) as data:  # np.load alone leaks the handle of a damaged file
             tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in ("vertices", "features", "opacity")]
             mlp = tuple(torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES)))
     except Exception as error:  # numpy raises many kinds for a damaged archive

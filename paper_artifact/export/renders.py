@@ -1,0 +1,39 @@
+"""Pictures of a soup: from cameras around it, or from the held-out views of a scene with the photographs beside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from paper_artifact.mesh import Mesh
+from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
+from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.soup.state import Soup
+from paper_artifact.train.run import render_views
+
+
+def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
+    """Return `count` images (size,size,3) float32 in [0,1] of the soup over white, from cameras spread around its visible triangles.
+
+    The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees.
+    """
+    corners = soup.vertices.detach().numpy().astype(np.float64)
+    visible = soup.corner_opacity().mean(axis=1) >= 0.5
+    corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)
+    cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
+    cameras = fibonacci_cameras(cloud, count, size)
+    matrices = np.stack([world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]).astype(np.float32)
+    scene = Scene(Path(), tuple(f"view {i}" for i in range(count)), np.ones((count, size, size, 3), dtype=np.float32), matrices,
+                  np.stack([camera.position for camera in cameras]).astype(np.float32), np.ones(3, dtype=np.float32),
+                  np.zeros((0, 3), dtype=np.float32), np.arange(count), np.arange(0), cloud.radius)
+    return list(render_views(soup, scene, np.arange(count)))
+
+
+def scene_renders(soup: Soup, folder: Path | str) -> list[list[np.ndarray]]:
+    """Return two rows of images (H,W,3) float32 in [0,1]: the held-out photographs of the scene in `folder`, and the soup's renders.
+
+    Raises InputError as `load_scene` does.
+    """
+    scene = load_scene(folder)
+    return [list(scene.images[scene.holdout]), list(render_views(soup, scene, scene.holdout))]

@@ -1,0 +1,81 @@
+"""The verbs evaluate and export on a soup made from a known surface."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from paper_artifact.cli import main
+from paper_artifact.soup.state import Soup, initial_mlp, save_soup
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setattr("paper_artifact.evaluate.evaluate.TARGETS", tmp_path / "targets")
+
+
+@pytest.fixture()
+def soup_file(tmp_path):
+    """The icosphere of radius .95 as a soup of opaque orange triangles, saved as the trainer saves it."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.95)
+    vertices = torch.from_numpy(np.asarray(ball.triangles, dtype=np.float32))
+    features = torch.zeros(len(vertices), 3, 7)
+    features[:, :, 0], features[:, :, 2], features[:, :, 3] = 4.0, -4.0, -30.0
+    path = tmp_path / "sphere-C0-s0.npz"
+    save_soup(path, Soup(vertices, features, torch.full((len(vertices), 3), 6.0), initial_mlp(0)))
+    return path
+
+
+def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
+    out = tmp_path / "dump.json"
+    assert main(["evaluate", str(soup_file), "--target", "sphere", "--samples", "3000", "--json", str(out), "--quiet"]) == 0
+    printed = capsys.readouterr().out
+    result = json.loads(out.read_text())
+    assert result["dimension"] == 2 and result["counts"] == result["target_counts"] == [0, 0, 1]
+    # The void dies at the radius: .05 / (2 sqrt 3) lost.
+    assert result["bottleneck"][2] == pytest.approx(0.05 / (2 * 3**0.5), rel=0.15)
+    assert f"{result['bottleneck'][2]:.5f}" in printed and "<- discriminating" in printed
+
+
+def test_evaluate_of_a_mesh_file(tmp_path, capsys):
+    trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
+    assert main(["evaluate", str(tmp_path / "ball.ply"), "--target", str(tmp_path / "ball.ply"), "--samples", "2000"]) == 0
+    assert "ball" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments, reason", [
+    (["absent.npz", "--target", "sphere"], "no file at"),
+    (["{soup}", "--target", "klein"], "unknown shape"),
+    (["{soup}", "--target", "sphere", "--samples", "2"], "at least 4"),
+])
+def test_evaluate_names_bad_input(soup_file, arguments, reason, capsys):
+    assert main(["evaluate", *[argument.format(soup=soup_file) for argument in arguments]]) == 1
+    assert reason in capsys.readouterr().err
+
+
+def test_export_writes_every_format(soup_file, tmp_path, capsys):
+    out = tmp_path / "exports"
+    assert main(["export", str(soup_file), "--out", str(out), "--views", "2", "--size", "48", "--target", "sphere"]) == 0
+    names = sorted(path.name for path in out.iterdir())
+    assert names == [f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")]
+    assert sorted(path.rsplit("/", 1)[-1] for path in capsys.readouterr().out.split()) == names
+    from PIL import Image
+
+    with Image.open(out / "sphere-C0-s0.view0.png") as image:
+        pixels = np.asarray(image)
+    # An orange ball in the middle, the white background in the corner.
+    expected = 255 / (1 + np.exp(-np.array([4.0, 0.0, -4.0])))
+    np.testing.assert_allclose(pixels[24, 24], expected, atol=1.5)
+    assert (pixels[0, 0] == 255).all()
+    mesh = trimesh.load_mesh(out / "sphere-C0-s0.ply", process=False)
+    assert len(mesh.faces) == 1280 and "ground truth" in (out / "sphere-C0-s0.html").read_text()
+
+
+def test_export_refuses_what_is_no_soup(tmp_path, capsys):
+    (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04 torn")
+    assert main(["export", str(tmp_path / "torn.npz"), "--out", str(tmp_path)]) == 1
+    assert "torn.npz" in capsys.readouterr().err
