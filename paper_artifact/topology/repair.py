@@ -120,7 +120,9 @@ def _bottleneck(a: np.ndarray, b: np.ndarray) -> float:
 
 def _sphere(generator: np.random.Generator, count: int) -> np.ndarray:
     directions = generator.standard_normal((count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    # Exactly cospherical points are the slow case of exact predicates; 1e-6 is far below every spacing here.
+    radii = 1 + 1e-6 * generator.standard_normal((count, 1))
+    return radii * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _punctured(generator):
@@ -159,7 +161,7 @@ def _bridge(generator):
     joined = _two_spheres(generator, TARGET_GAP, each)
     along = (np.arange(CHAIN) + 0.5) / CHAIN - 0.5
     chain = np.column_stack([along * TARGET_GAP, np.zeros(CHAIN), np.zeros(CHAIN)])
-    return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + CHAIN // 2), 0, 0.01, 600
+    return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + CHAIN // 2), 0, 0.03, 1000
 
 
 _PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge}

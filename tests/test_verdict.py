@@ -1,0 +1,148 @@
+"""The verdict rule on hand-made rows and on the paper's own per-seed values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from paper_artifact.errors import InputError
+from paper_artifact.study.tables import arm_table, arm_text, verdict_table
+from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
+
+# Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
+PER_SEED = {
+    "spot": ("pass", (.0429, .0584, .0550), (.0237,) * 3, (.0652,) * 3),
+    "bob": ("pass", (.0429, .0413, .0437), (.0200, .0207, .0216), (.0437,) * 3),
+    "fandisk": ("pass", (.0540, .0515, .0559), (.0058, .0055, .0042), (.0571,) * 3),
+    "pot": ("pass", (.0218, .0223, .0223), (.0059, .0056, .0056), (.0223,) * 3),
+    "rocker-arm": ("no effect", (.0088, .0082, .0079), (.0090, .0070, .0100), (.0112, .0112, .0115)),
+    "eight": ("pass", (.0249,) * 3, (.0169, .0175, .0142), (.0249,) * 3),
+    "armadillo": ("pass", (.0511,) * 3, (.0124, .0125, .0123), (.0511,) * 3),
+    "horse": ("pass", (.0408,) * 3, (.0124, .0083, .0118), (.0408,) * 3),
+    "cube": ("pass", (.0560, .0551, .0636), (.0071, .0064, .0086), (.1346,) * 3),
+    "two_spheres": ("tied by control", (.0060, .0074, .0062), (.0007, .0009, .0005), (.0009, .0009, .0006)),
+    "bowl_narrow": ("pass", (.0619, .0550, .0593), (.0137, .0126, .0151), (.1249,) * 3),
+    "bowl_wide": ("pass", (.0448, .0602, .0630), (.0141, .0136, .0135), (.0770,) * 3),
+    "double_torus": ("saturated", (.0264,) * 5, (.0264,) * 5, (.0264,) * 5),
+}
+
+
+def rows(shape: str, chamfer: dict | None = None, **arms: tuple) -> list[dict]:
+    return [{"shape": shape, "condition": condition, "seed": seed, "tail": tail, **({"chamfer": chamfer[condition]} if chamfer else {})}
+            for condition, tails in arms.items() for seed, tail in enumerate(tails)]
+
+
+def published_rows() -> list[dict]:
+    return [row for shape, (_, c0, c1, c2) in PER_SEED.items() for row in rows(shape, C0=c0, C1=c1, C2=c2)]
+
+
+def test_published_per_seed_values_give_the_papers_verdicts():
+    judged = verdict(published_rows())
+    assert {shape: each.outcome for shape, each in judged.items()} == {shape: values[0] for shape, values in PER_SEED.items()}
+    assert sum(judged[shape].passed for shape in list(PER_SEED)[:8]) == 7  # seven of the eight external meshes
+    assert not judged["rocker-arm"].below["C0"] and not judged["two_spheres"].disjoint["C2"]
+
+
+def test_published_means_ratios_and_groups_are_reproduced():
+    judged = verdict(published_rows())
+    assert arm_text(judged["bob"].arms["C1"].mean, judged["bob"].arms["C1"].sd, judged["bob"].ratio) == ".0208±.0008 (2.05×)"
+    for shape, ratio in (("fandisk", 10.4), ("armadillo", 4.1), ("rocker-arm", 0.96), ("cube", 7.9), ("bowl_wide", 4.1)):
+        assert judged[shape].ratio == pytest.approx(ratio, abs=0.06)
+    loops = group_statistic(judged, ("bob", "rocker-arm", "eight"))
+    voids = group_statistic(judged, ("spot", "fandisk", "pot", "armadillo", "horse"))
+    assert loops == (pytest.approx(1.52, abs=0.01), pytest.approx(0.55, abs=0.01), 2)
+    assert voids == (pytest.approx(4.87, abs=0.02), pytest.approx(3.17, abs=0.03), 5)
+    with pytest.raises(InputError, match="missing: torus"):
+        group_statistic(judged, ("bob", "torus"))
+
+
+def test_welch_sigma_only_with_five_seeds_and_equal_to_scipys():
+    a, b = np.random.default_rng(0).random((2, 5))
+    assert welch_sigma(a, b) == pytest.approx(stats.ttest_ind(a, b, equal_var=False).statistic, rel=1e-12)
+    assert welch_sigma(a[:4], b) is None and welch_sigma([1.0] * 5, [2.0] * 5) is None
+    # The paper's sphere: .0623±.0063 against .0156±.0013, five seeds each, is 16.2 sigma.
+    unit = np.array([-1, -0.5, 0, 0.5, 1]) / np.std([-1, -0.5, 0, 0.5, 1], ddof=1)
+    judged = verdict(rows("sphere", C0=tuple(.0623 + .0063 * unit), C1=tuple(.0156 + .0013 * unit), C2=(.1372,) * 5))["sphere"]
+    assert judged.welch["C0"] == pytest.approx(16.2, abs=0.05) and judged.passed
+    assert verdict(rows("sphere", C0=(.06,) * 3, C1=(.01, .02, .03), C2=(.1,) * 3))["sphere"].welch == {}
+
+
+def test_every_outcome():
+    good = {"C0": (.06, .07, .05), "C1": (.01, .02, .015), "C2": (.1, .1, .1)}
+    cases = {
+        "pass": good,
+        "no effect": {**good, "C1": (.01, .02, .055)},
+        "worse": {**good, "C1": (.08, .09, .085)},
+        "tied by control": {**good, "C2": (.02, .03, .04)},
+        "beaten by control": {**good, "C2": (.001, .002, .003)},
+        "saturated": {"C0": (.03,) * 3, "C1": (.03,) * 3, "C2": (.03,) * 3},
+    }
+    for outcome, arms in cases.items():
+        assert verdict(rows("x", **arms))["x"].outcome == outcome
+    for missing in ("C0", "C1", "C2"):
+        judged = verdict(rows("x", **{name: tails for name, tails in good.items() if name != missing}))["x"]
+        assert judged.outcome == "incomplete" and missing in judged.reason
+    gentle = verdict(rows("x", **good, C2g=(.012, .02, .03)))["x"]
+    assert gentle.outcome == "tied by control" and "C2g" in gentle.reason  # every control that was run must be beaten
+
+
+def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
+    arms = {"C0": (.06, .07), "C1": (.01, .02), "C2": (.1, .1)}
+    for chamfer, parity, outcome in ((.0115, True, "pass"), (.01151, False, "parity failed")):
+        judged = verdict(rows("x", {"C0": .01, "C1": chamfer, "C2": .02}, **arms))["x"]
+        assert (judged.parity, judged.outcome) == (parity, outcome)
+    unknown = verdict(rows("x", **arms))["x"]
+    assert unknown.parity is None and unknown.passed and "unknown" in unknown.reason
+
+
+def test_phantoms_and_missing_features_are_counted_per_seed_and_do_not_decide():
+    made = rows("spot", C0=(.06, .07, .05), C1=(.01, .02, .015), C2=(.1, .1, .1))
+    counts = {"C0": (2, 1, 2), "C1": (1, 2, 1), "C2": (0, 0, 0)}
+    for row in made:
+        row |= {"count": counts[row["condition"]][row["seed"]], "expected": 1}
+    judged = verdict(made)["spot"]
+    assert judged.passed
+    assert judged.phantoms == {"C0": (0, 2), "C1": (1,), "C2": ()} and judged.missing["C2"] == (0, 1, 2)
+    del made[0]["count"]
+    assert "C0" not in verdict(made)["spot"].phantoms
+
+
+def test_bad_rows_are_refused():
+    good = {"shape": "x", "condition": "C0", "seed": 0, "tail": .1}
+    for change in ({"tail": math.nan}, {"tail": None}, {"tail": -1.0}, {"tail": math.inf}, {"shape": None}):
+        with pytest.raises(InputError, match="finite tail"):
+            verdict([good | change])
+    with pytest.raises(InputError, match="seed 0 twice"):
+        verdict([good, good])
+    with pytest.raises(InputError, match="needs one"):
+        verdict([good | {"dimension": 1}, good | {"seed": 1, "dimension": 2}])
+    assert verdict([]) == {}
+
+
+def test_rows_of_records():
+    record = {"status": "done", "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
+              "tails": {"bottleneck": [.001, .2, .3], "counts": [1, 0, 2], "chamfer": .005},
+              "mesh": {"dimension": 0, "betti": [2, 0, 2]}, "bundle": {"bars": [[[0, .1]], [], []]}}
+    assert rows_of([record, record | {"status": "failed"}, record | {"tails": {}}]) == [
+        {"shape": "two_spheres", "condition": "C1", "seed": 2, "dimension": 0, "tail": .001, "chamfer": .005, "count": 1, "expected": 1}]
+    assert rows_of([record | {"mesh": {"dimension": 0, "betti": None}}])[0]["expected"] == 1
+
+
+def test_tables_put_ours_beside_the_published():
+    ours = rows("cube", {"C0": .01, "C1": .009, "C2": .02}, C0=(.05, .06), C1=(.01, .012), C2=(.13, .13))
+    published = pd.DataFrame(published_rows())
+    table = arm_table(pd.DataFrame(ours), published).set_index("condition")
+    assert table.loc["C1", "mean"] == pytest.approx(.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
+    assert table.loc["C1", "published mean"] == pytest.approx(.00737, abs=1e-5)
+    assert table.loc["C1", "published ratio"] == pytest.approx(7.9, abs=0.06)
+    layout = verdict_table(ours, published)
+    assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
+    assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
+    summary = pd.DataFrame([{"shape": "cube", "condition": name, "mean": mean, "sd": sd}
+                            for name, mean, sd in (("C0", .0582, .0046), ("C1", .0074, .0011), ("C2", .1346, None))])
+    layout = verdict_table(ours, summary)
+    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346 (0.43×)" and layout.loc[1, "verdict"] == ""
