@@ -84,41 +84,95 @@ def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1,
               gx, gy, 0.0, 0.0, sx, sy)
 
 
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+def _adjoints(c0, c1, c2, g0, g1, g2, start, offset, count, out):
+    # out[k] = ½ sum over channels of (g[p] + g[q])(c[p] - c[q]) with p = start + k, q = p + offset.
+    for k in range(count):
+        p = start + k
+        out[k] = np.float32(0.5) * ((g0[p] + g0[p + offset]) * (c0[p] - c0[p + offset])
+                                    + (g1[p] + g1[p + offset]) * (c1[p] - c1[p + offset])
+                                    + (g2[p] + g2[p + offset]) * (c2[p] - c2[p + offset]))
+
+
+@numba.njit(inline="always")
+def _flush(moments, rectangles, t, row, right0, right1, right2, down0, down1, sx, sy):
+    # Add a run of pairs inside triangle t on one row: sums over the pairs of 2·g·(1, x, x²) to the right, of 2·g·(1, x) downward.
+    y = float(row - rectangles[t, 0])
+    shift = (rectangles[t, 2] + 0.5) * sx - 1.0  # ndc_x = shift + sx·x
+    along, along_x = shift * right0 + sx * right1, shift * right1 + sx * right2
+    ndc_y = (row + 1.0) * sy - 1.0
+    moments[t, 0] += right0
+    moments[t, 1] += right1
+    moments[t, 2] += right0 * y
+    moments[t, 3] += down0
+    moments[t, 4] += down1
+    moments[t, 5] += down0 * (y + 0.5)
+    moments[t, 9] += along + ndc_y * down0
+    moments[t, 10] += along_x + ndc_y * down1
+    moments[t, 11] += along * y + ndc_y * down0 * (y + 0.5)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def edge_moments(triangle, depth, colour, gradient, height, width, coefficients, rectangles, moments):
     """Add every pixel pair's pull to moments (T,12) float64 (zeroed by the caller).
 
-    triangle (H·W,) int32 (-1: nothing), depth (H·W,) float32 NDC, colour and gradient (3,H·W) float32.
+    triangle (H·W,) int32 (-1: nothing), depth (H·W,) float32 NDC, colour and gradient (3,H·W) float32. The same signed pull serves
+    both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts twice, and the
+    pairs of a run along a row are summed before they are added.
     """
     sx, sy = 2.0 / width, 2.0 / height
-    c0, c1, c2 = colour[0], colour[1], colour[2]
-    g0, g1, g2 = gradient[0], gradient[1], gradient[2]
+    to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
     for row in range(height):
+        start = row * width
+        _adjoints(colour[0], colour[1], colour[2], gradient[0], gradient[1], gradient[2], start, 1, width - 1, to_right)
+        to_right[width - 1] = np.float32(0.0)
+        if row + 1 < height:
+            _adjoints(colour[0], colour[1], colour[2], gradient[0], gradient[1], gradient[2], start, width, width, downward)
+        else:
+            downward[:] = np.float32(0.0)
+        current = -1
+        right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
         for column in range(width):
-            p = row * width + column
+            p = start + column
             tp = triangle[p]
-            for down in range(2):
-                if (down == 0 and column + 1 == width) or (down == 1 and row + 1 == height):
-                    continue
-                q = p + width if down == 1 else p + 1
+            if tp != current:
+                if current >= 0:
+                    _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
+                right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
+                current = tp
+            if to_right[column] != 0:
+                gx = to_right[column] / sx
+                tq = triangle[p + 1]
+                if tq == tp:
+                    if tp >= 0:
+                        x = column - rectangles[tp, 2] + 0.5
+                        right0 += 2 * gx
+                        right1 += 2 * gx * x
+                        right2 += 2 * gx * x * x
+                else:
+                    if tp >= 0:
+                        _edge_side(coefficients, rectangles, moments, tp, column, row, depth[p], tq, column + 1, row, depth[p + 1],
+                                   gx, 0.0, sx, sy)
+                    if tq >= 0:
+                        _edge_side(coefficients, rectangles, moments, tq, column + 1, row, depth[p + 1], tp, column, row, depth[p],
+                                   gx, 0.0, sx, sy)
+            if downward[column] != 0:
+                gy = downward[column] / sy
+                q = p + width
                 tq = triangle[q]
-                if tp < 0 and tq < 0:
-                    continue
-                adjoint = np.float32(0.5) * ((g0[p] + g0[q]) * (c0[p] - c0[q]) + (g1[p] + g1[q]) * (c1[p] - c1[q])
-                                             + (g2[p] + g2[q]) * (c2[p] - c2[q]))
-                if adjoint == 0:
-                    continue
-                # The same signed pull serves both pixels of the pair: adjoint and direction change sign together.
-                gx = 0.0 if down == 1 else adjoint / sx
-                gy = adjoint / sy if down == 1 else 0.0
-                qc, qr = column + 1 - down, row + down
-                if tp == tq:
-                    _pull(moments, rectangles, tp, 0.5 * (column + qc), 0.5 * (row + qr), 2 * gx, 2 * gy, 0.0, 0.0, sx, sy)
-                    continue
-                if tp >= 0:
-                    _edge_side(coefficients, rectangles, moments, tp, column, row, depth[p], tq, qc, qr, depth[q], gx, gy, sx, sy)
-                if tq >= 0:
-                    _edge_side(coefficients, rectangles, moments, tq, qc, qr, depth[q], tp, column, row, depth[p], gx, gy, sx, sy)
+                if tq == tp:
+                    if tp >= 0:
+                        down0 += 2 * gy
+                        down1 += 2 * gy * (column - rectangles[tp, 2])
+                else:
+                    if tp >= 0:
+                        _edge_side(coefficients, rectangles, moments, tp, column, row, depth[p], tq, column, row + 1, depth[q],
+                                   0.0, gy, sx, sy)
+                    if tq >= 0:
+                        _edge_side(coefficients, rectangles, moments, tq, column, row + 1, depth[q], tp, column, row, depth[p],
+                                   0.0, gy, sx, sy)
+        if current >= 0:
+            _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -66,6 +66,38 @@ def _active_rectangle(colour, target):
     return row0, row1, column0, column1
 
 
+@numba.njit(inline="always")
+def _ssim_terms(mx, my, xx, yy, xy):
+    vx, vy, vxy = xx - mx * mx, yy - my * my, xy - mx * my
+    l_top, l_bottom = np.float32(2.0) * mx * my + _C1, mx * mx + my * my + _C1
+    s_top, s_bottom = np.float32(2.0) * vxy + _C2, vx + vy + _C2
+    inverse = np.float32(1.0) / (l_bottom * s_bottom)
+    structure = s_top * l_bottom * inverse
+    value = l_top * s_bottom * inverse * structure
+    # Partial derivatives of SSIM with respect to the windowed square and product of x; `over` is 1 / l_bottom.
+    return value, structure, -value * l_bottom * inverse, np.float32(2.0) * l_top * inverse, s_bottom * inverse
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _ssim_row(mean_x, mean_y, square_x, square_y, cross, by_mean, by_square, by_cross, count, scale):
+    # One row of windows: sum of 1 - SSIM, and dL/d(windowed mean, square, product of x). One output a loop: LLVM vectorises
+    # only loops whose arrays it can prove apart with few checks, and computing the terms three times is far cheaper than not.
+    total = np.float32(0.0)
+    for c in range(count):
+        mx, my = mean_x[c], mean_y[c]
+        value, structure, d_square, d_cross, over = _ssim_terms(mx, my, square_x[c], square_y[c], cross[c])
+        total += np.float32(1.0) - value
+        d_mean = np.float32(2.0) * (my * structure - mx * value) * over
+        by_mean[c] = scale * (d_mean - np.float32(2.0) * mx * d_square - my * d_cross)
+    for c in range(count):
+        value, structure, d_square, d_cross, over = _ssim_terms(mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c])
+        by_square[c] = scale * d_square
+    for c in range(count):
+        value, structure, d_square, d_cross, over = _ssim_terms(mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c])
+        by_cross[c] = scale * d_cross
+    return total
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def photometric_view(colour, target, mean, square, views, gradient):
     """Return one view's share of the loss (already divided by `views`) and write its gradient.
@@ -109,25 +141,8 @@ def photometric_view(colour, target, mean, square, views, gradient):
         for r in range(out_rows):
             a, b, xx, xy = mean_x[r], mean[channel, top + r, left:left + out_columns], square_x[r], cross[r]
             yy = square[channel, top + r, left:left + out_columns]
-            p0, p1, p2 = padded[0, r + 10, 10:], padded[1, r + 10, 10:], padded[2, r + 10, 10:]
-            total = np.float32(0.0)
-            for c in range(out_columns):
-                mx, my = a[c], b[c]
-                vx, vy, vxy = xx[c] - mx * mx, yy[c] - my * my, xy[c] - mx * my
-                l_top, l_bottom = np.float32(2.0) * mx * my + _C1, mx * mx + my * my + _C1
-                s_top, s_bottom = np.float32(2.0) * vxy + _C2, vx + vy + _C2
-                inverse = np.float32(1.0) / (l_bottom * s_bottom)
-                luminance, structure = l_top * s_bottom * inverse, s_top * l_bottom * inverse
-                value = luminance * structure
-                total += np.float32(1.0) - value
-                # Partial derivatives with respect to the windowed mean, square and product of x.
-                d_square = -value * l_bottom * inverse
-                d_cross = np.float32(2.0) * l_top * inverse
-                d_mean = (np.float32(2.0) * my * structure - np.float32(2.0) * mx * value) * (s_bottom * inverse)
-                p0[c] = ssim_scale * (d_mean - np.float32(2.0) * mx * d_square - my * d_cross)
-                p1[c] = ssim_scale * d_square
-                p2[c] = ssim_scale * d_cross
-            missing += total
+            missing += _ssim_row(a, b, xx, yy, xy, padded[0, r + 10, 10:], padded[1, r + 10, 10:], padded[2, r + 10, 10:],
+                                 out_columns, ssim_scale)
         loss += 0.5 * SSIM_WEIGHT * missing / windows
         for k in range(3):
             _blur(padded[k], spread[k], scratch, rows + 10, columns + 10)

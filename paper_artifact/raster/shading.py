@@ -56,30 +56,51 @@ def _affine(weights, bias, x, out, count, relu):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _harmonics(pixels, start, count, width, height, rays, x):
-    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame.
+def _harmonics(pixels, start, count, width, height, rays, x, direction):
+    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame; direction (3,BLOCK) is
+    # scratch. Each loop writes one row: with more, LLVM gives up proving that they do not overlap and does not vectorise.
     sx, sy = np.float32(2.0 / width), np.float32(2.0 / height)
+    inverse_width = np.float32(1.0 / width)
+    u, v, norm = x[7], x[8], x[9]
     for p in range(count):
-        pixel = pixels[start + p]
-        row = pixel // width
-        u = np.float32(pixel - row * width + np.float32(0.5)) * sx - np.float32(1.0)
-        v = (np.float32(row) + np.float32(0.5)) * sy - np.float32(1.0)
-        dx = rays[0, 0] + rays[1, 0] * u + rays[2, 0] * v
-        dy = rays[0, 1] + rays[1, 1] * u + rays[2, 1] * v
-        dz = rays[0, 2] + rays[1, 2] * u + rays[2, 2] * v
-        norm = np.float32(1.0) / np.sqrt(dx * dx + dy * dy + dz * dz)
-        dx *= norm
-        dy *= norm
-        dz *= norm
-        x[7, p] = np.float32(0.28209479177387814)
-        x[8, p] = np.float32(-0.4886025119029199) * dy
-        x[9, p] = np.float32(0.4886025119029199) * dz
-        x[10, p] = np.float32(-0.4886025119029199) * dx
-        x[11, p] = np.float32(1.0925484305920792) * dx * dy
-        x[12, p] = np.float32(-1.0925484305920792) * dy * dz
-        x[13, p] = np.float32(0.31539156525252005) * (np.float32(2.0) * dz * dz - dx * dx - dy * dy)
-        x[14, p] = np.float32(-1.0925484305920792) * dx * dz
-        x[15, p] = np.float32(0.5462742152960396) * (dx * dx - dy * dy)
+        pixel = np.float32(pixels[start + p]) + np.float32(0.5)  # exact below 2**23 pixels
+        v[p] = np.floor(pixel * inverse_width)
+    for p in range(count):
+        pixel = np.float32(pixels[start + p]) + np.float32(0.5)
+        u[p] = (pixel - v[p] * np.float32(width)) * sx - np.float32(1.0)
+    for p in range(count):
+        v[p] = (v[p] + np.float32(0.5)) * sy - np.float32(1.0)
+    for axis in range(3):
+        d = direction[axis]
+        r0, r1, r2 = rays[0, axis], rays[1, axis], rays[2, axis]
+        for p in range(count):
+            d[p] = r0 + r1 * u[p] + r2 * v[p]
+    dx, dy, dz = direction[0], direction[1], direction[2]
+    for p in range(count):
+        norm[p] = np.float32(1.0) / np.sqrt(dx[p] * dx[p] + dy[p] * dy[p] + dz[p] * dz[p])
+    for axis in range(3):
+        d = direction[axis]
+        for p in range(count):
+            d[p] *= norm[p]
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = x[7], x[8], x[9], x[10], x[11], x[12], x[13], x[14], x[15]
+    for p in range(count):
+        h0[p] = np.float32(0.28209479177387814)
+    for p in range(count):
+        h1[p] = np.float32(-0.4886025119029199) * dy[p]
+    for p in range(count):
+        h2[p] = np.float32(0.4886025119029199) * dz[p]
+    for p in range(count):
+        h3[p] = np.float32(-0.4886025119029199) * dx[p]
+    for p in range(count):
+        h4[p] = np.float32(1.0925484305920792) * dx[p] * dy[p]
+    for p in range(count):
+        h5[p] = np.float32(-1.0925484305920792) * dy[p] * dz[p]
+    for p in range(count):
+        h6[p] = np.float32(0.31539156525252005) * (np.float32(2.0) * dz[p] * dz[p] - dx[p] * dx[p] - dy[p] * dy[p])
+    for p in range(count):
+        h7[p] = np.float32(-1.0925484305920792) * dx[p] * dz[p]
+    for p in range(count):
+        h8[p] = np.float32(0.5462742152960396) * (dx[p] * dx[p] - dy[p] * dy[p])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -90,6 +111,7 @@ def shade_forward(pixels, covered, visible, fragment_index, fragment_value, widt
     features (T,3,7) float32 in [0,1]; rays (3,3) float32 (see `_harmonics`); weights as torch.nn.Linear has them.
     activations (blocks, ROWS, BLOCK) float32 is filled for the backward pass.
     """
+    direction = np.empty((3, BLOCK), np.float32)
     for block in range((covered + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(BLOCK, covered - start)
@@ -102,7 +124,7 @@ def shade_forward(pixels, covered, visible, fragment_index, fragment_value, widt
             b2 = np.float32(1.0) - b0 - b1
             for f in range(FEATURES):
                 x[f, p] = b0 * features[t, 0, f] + b1 * features[t, 1, f] + b2 * features[t, 2, f]
-        _harmonics(pixels, start, count, width, height, rays, x)
+        _harmonics(pixels, start, count, width, height, rays, x, direction)
         _affine(w1, c1, x, h1, count, True)
         _affine(w2, c2, h1, h2, count, True)
         _affine(w3, c3, h2, y, count, False)
