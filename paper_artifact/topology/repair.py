@@ -58,8 +58,8 @@ class Trajectory:
 
     @property
     def factor(self) -> float:
-        """First bottleneck divided by the last; inf when the last is 0."""
-        return float(self.bottleneck[0] / self.bottleneck[-1]) if self.bottleneck[-1] > 0 else float("inf")
+        """First bottleneck divided by the last; inf when the last is rounding (below 1e-12)."""
+        return float(self.bottleneck[0] / self.bottleneck[-1]) if self.bottleneck[-1] > 1e-12 else float("inf")
 
 
 def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
