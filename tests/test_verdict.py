@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from paper_artifact.errors import InputError
-from paper_artifact.study.tables import arm_table, arm_text, verdict_table
+from paper_artifact.report.published import published
+from paper_artifact.study.tables import arm_table, arm_text, published_rows, verdict_table
 from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
 
 # Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
@@ -36,19 +37,19 @@ def rows(shape: str, chamfer: dict | None = None, **arms: tuple) -> list[dict]:
             for condition, tails in arms.items() for seed, tail in enumerate(tails)]
 
 
-def published_rows() -> list[dict]:
+def per_seed_rows() -> list[dict]:
     return [row for shape, (_, c0, c1, c2) in PER_SEED.items() for row in rows(shape, C0=c0, C1=c1, C2=c2)]
 
 
 def test_published_per_seed_values_give_the_papers_verdicts():
-    judged = verdict(published_rows())
+    judged = verdict(per_seed_rows())
     assert {shape: each.outcome for shape, each in judged.items()} == {shape: values[0] for shape, values in PER_SEED.items()}
     assert sum(judged[shape].passed for shape in list(PER_SEED)[:8]) == 7  # seven of the eight external meshes
     assert not judged["rocker-arm"].below["C0"] and not judged["two_spheres"].disjoint["C2"]
 
 
 def test_published_means_ratios_and_groups_are_reproduced():
-    judged = verdict(published_rows())
+    judged = verdict(per_seed_rows())
     assert arm_text(judged["bob"].arms["C1"].mean, judged["bob"].arms["C1"].sd, judged["bob"].ratio) == ".0208±.0008 (2.05×)"
     for shape, ratio in (("fandisk", 10.4), ("armadillo", 4.1), ("rocker-arm", 0.96), ("cube", 7.9), ("bowl_wide", 4.1)):
         assert judged[shape].ratio == pytest.approx(ratio, abs=0.06)
@@ -132,17 +133,25 @@ def test_rows_of_records():
     assert rows_of([record | {"mesh": {"dimension": 0, "betti": None}}])[0]["expected"] == 1
 
 
+def test_transcribed_tables_give_the_same_verdicts():
+    """The committed transcription of the paper's per-seed tables, through the same rule."""
+    judged = verdict(published_rows(pd.concat([published("S7"), published("S10")])))
+    assert {shape: each.outcome for shape, each in judged.items()} == {s: v[0] for s, v in PER_SEED.items() if s != "double_torus"}
+    for shape, each in judged.items():
+        assert each.arms["C1"].tails == PER_SEED[shape][2] and each.arms["C2"].tails == PER_SEED[shape][3]
+
+
 def test_tables_put_ours_beside_the_published():
     ours = rows("cube", {"C0": .01, "C1": .009, "C2": .02}, C0=(.05, .06), C1=(.01, .012), C2=(.13, .13))
-    published = pd.DataFrame(published_rows())
-    table = arm_table(pd.DataFrame(ours), published).set_index("condition")
+    both = pd.concat([published("1"), published("S7")])
+    table = arm_table(pd.DataFrame(ours), both).set_index("condition")
     assert table.loc["C1", "mean"] == pytest.approx(.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
-    assert table.loc["C1", "published mean"] == pytest.approx(.00737, abs=1e-5)
+    assert (table.loc["C1", "published mean"], table.loc["C1", "published sd"]) == (.0074, .0011)
     assert table.loc["C1", "published ratio"] == pytest.approx(7.9, abs=0.06)
-    layout = verdict_table(ours, published)
+    layout = verdict_table(ours, both)
     assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
     assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
-    summary = pd.DataFrame([{"shape": "cube", "condition": name, "mean": mean, "sd": sd}
-                            for name, mean, sd in (("C0", .0582, .0046), ("C1", .0074, .0011), ("C2", .1346, None))])
-    layout = verdict_table(ours, summary)
-    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346 (0.43×)" and layout.loc[1, "verdict"] == ""
+    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346±.0000 (0.43×)"
+    assert arm_table(ours, published("S7")).set_index("condition").loc["C1", "published mean"] == pytest.approx(.00737, abs=1e-5)
+    layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
+    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""

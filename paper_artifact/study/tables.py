@@ -9,11 +9,18 @@ import pandas as pd
 from paper_artifact.study.verdict import Arm, Rows, Verdict, verdict
 
 
+def published_rows(published: pd.DataFrame) -> list[dict]:
+    """Return the rows (as for `verdict`) of the per-seed tails in `published`, tables of `paper_artifact.report.published`."""
+    chosen = _published_tails(published)
+    return [{"shape": row["shape"], "condition": row["condition"], "seed": int(row["seed"]), "dimension": int(row["dimension"]),
+             "tail": float(row["value"])} for row in chosen[chosen["seed"].notna()].to_dict("records")]
+
+
 def arm_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame:
     """Return one line per shape and condition: dimension, seeds, mean, sd (n - 1), ratio (C0 / this), low, high, chamfer, counts.
 
-    published: a DataFrame with "shape", "condition" and either per-seed "tail" (rows as for `verdict`) or "mean" and "sd"; adds
-    "published mean", "published sd" and "published ratio" (mean of C0 / this mean, of the published means).
+    published: tables of `paper_artifact.report.published` (several concatenated will do); adds "published mean", "published sd" and
+    "published ratio" (C0 / this, of the published means), from the printed means where there are any, else from the seeds.
     """
     lines = []
     for shape, judged in verdict(rows).items():
@@ -30,17 +37,18 @@ def arm_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame
 def verdict_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame:
     """Return the paper's Table 1 layout: one line per shape, "mean±sd (ratio×)" per condition, then verdict and reason.
 
-    published (per-seed rows or "mean"/"sd", see `arm_table`): a second line per shape, marked in "source", without a verdict
-    where the published values are not per seed.
+    published: as for `arm_table`; adds a second line per shape ("source" says which), with a verdict only where the paper prints
+    per-seed tails, because the rule needs them.
     """
     lines = [_line("ours", judged) for judged in verdict(rows).values()]
     if published is not None:
         shapes = [line["shape"] for line in lines]
-        ours = published[published["shape"].isin(shapes)]
-        if "tail" in ours:
-            lines += [_line("published", judged) for judged in verdict(ours).values()]
-        else:
-            lines += _summary_lines(_published_arms(ours))
+        chosen = published[published["shape"].isin(shapes)]
+        judged = verdict(published_rows(chosen))
+        for line in _summary_lines(_published_arms(chosen)):
+            if line["shape"] in judged:
+                line |= {"verdict": judged[line["shape"]].outcome, "reason": judged[line["shape"]].reason}
+            lines.append(line)
         lines.sort(key=lambda line: (shapes.index(line["shape"]), line["source"] != "ours"))
     table = pd.DataFrame(lines).fillna("")
     conditions = sorted(name for name in table.columns if name not in _FIXED)
@@ -71,12 +79,19 @@ def _line(source: str, judged: Verdict) -> dict:
     return line | {"verdict": judged.outcome, "reason": judged.reason}
 
 
+def _published_tails(published: pd.DataFrame) -> pd.DataFrame:
+    chosen = published[published["quantity"] == "tail_bottleneck"].copy()
+    if "seed" not in chosen:
+        chosen["seed"] = float("nan")
+    return chosen
+
+
 def _published_arms(published: pd.DataFrame) -> pd.DataFrame:
-    if "tail" in published:
-        arms = published.groupby(["shape", "condition"], sort=False)["tail"].agg(["mean", "std"]).reset_index()
-        arms = arms.rename(columns={"std": "sd"})
-    else:
-        arms = published[["shape", "condition", "mean", "sd"]].copy()
+    tails = _published_tails(published)
+    printed = tails[tails["seed"].isna()].drop_duplicates(["shape", "condition"])
+    printed = printed.set_index(["shape", "condition"])[["value", "sd"]].rename(columns={"value": "mean"})
+    seeds = tails[tails["seed"].notna()].groupby(["shape", "condition"])["value"].agg(["mean", "std"]).rename(columns={"std": "sd"})
+    arms = printed.combine_first(seeds).reset_index()
     baseline: Mapping = arms[arms["condition"] == "C0"].set_index("shape")["mean"]
     arms["ratio"] = arms["shape"].map(baseline) / arms["mean"]
     return arms.rename(columns={name: f"published {name}" for name in ("mean", "sd", "ratio")})
