@@ -15,8 +15,8 @@ from scipy.spatial.distance import cdist
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
-from paper_artifact.evaluate.evaluate import (discriminating_dimension, evaluate_samples, evaluate_soup, make_target, soup_samples, tail,
-                                              tails)
+from paper_artifact.evaluate.evaluate import (discriminating_dimension, evaluate_samples, evaluate_soup, make_target,
+                                              soup_samples, tail, tails)
 from paper_artifact.evaluate.geometry import chamfer, chamfer_sum, hausdorff95
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream

@@ -1,4 +1,4 @@
-"""`python -m paper_artifact evaluate SOUP.npz --target SHAPE|MESH`: diagrams and distances of a soup or mesh, against a ground truth."""
+"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH`: a soup or mesh measured against a ground truth."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("surface", type=Path, metavar="FILE", help="a trained soup (.npz) or any mesh file that trimesh reads")
     parser.add_argument("--target", required=True, metavar="SHAPE|MESH",
                         help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file")
-    parser.add_argument("--scene", type=Path, metavar="DIR", help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)")
-    parser.add_argument("--samples", type=int, default=20_000, help="surface samples of either side (default: %(default)s, as the paper)")
-    parser.add_argument("--dimension", type=int, choices=(0, 1, 2), help="the discriminating dimension (default: the study's for the shape)")
+    parser.add_argument("--scene", type=Path, metavar="DIR",
+                        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)")
+    parser.add_argument("--samples", type=int, default=20_000,
+                        help="surface samples of either side (default: %(default)s, as the paper)")
+    parser.add_argument("--dimension", type=int, choices=(0, 1, 2),
+                        help="the discriminating dimension (default: the study's for the shape)")
     parser.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")
     parser.add_argument("--json", type=Path, metavar="OUT", help="also write everything to this file, with the longest bars")
 

@@ -18,9 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the folder for the files (default: results/exports); they are named after the soup")
     parser.add_argument("--formats", nargs="+", choices=FORMATS, default=list(FORMATS), metavar="FORMAT",
                         help=f"which of {', '.join(FORMATS)} (default: all)")
-    parser.add_argument("--target", metavar="SHAPE|MESH", help="a ground truth (shape, key of a fetched mesh, or file) to show beside the soup in the HTML view")
+    parser.add_argument("--target", metavar="SHAPE|MESH",
+                        help="a ground truth (shape, key of a fetched mesh, or file) to show beside the soup in the HTML view")
     parser.add_argument("--scene", type=Path, metavar="DIR",
-                        help="render the held-out views of this COLMAP scene, with the photographs above (default: views around the soup)")
+                        help="render the held-out views of this COLMAP scene, photographs above (default: views around the soup)")
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
     parser.add_argument("--size", type=int, default=400, help="their side in pixels (default: %(default)s)")
 
@@ -58,7 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
         from paper_artifact.export.images import sheet, write_png
         from paper_artifact.export.renders import orbit_renders, scene_renders
 
-        rows = [orbit_renders(soup, arguments.views, arguments.size)] if arguments.scene is None else scene_renders(soup, arguments.scene)
+        if arguments.scene is None:
+            rows = [orbit_renders(soup, arguments.views, arguments.size)]
+        else:
+            rows = scene_renders(soup, arguments.scene)
         for index, image in enumerate(rows[-1]):
             write_png(path_of(f"view{index}.png"), image)
         write_png(path_of("views.png"), sheet(rows))

@@ -4,15 +4,16 @@ Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all of th
 distance cheap; c is the distance, h a bar's half lifetime (its L-infinity distance to the diagonal), d the L-infinity distance of
 two bars, and `a`, `b` are bars (k,2), (l,2) of one dimension, births and deaths in any one unit.
 
-1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value, is at most c; often c = L.
+1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value, is at most c;
+   often c = L.
 2. c <= t holds iff the bars of a with h > t can all be matched to different bars of b with d <= t, and the other way round:
    matchings that cover either side combine to one that covers both (Mendelsohn and Dulmage 1958), the rest goes to the diagonal.
 3. A bar with at least as many partners in reach as there are bars to match can be matched last, whatever the others take.
    Leaving such bars out, again and again, reduces the matching of fact 2 to a few bars.
 
-On 20,000 samples of a sphere this takes .02–.07 s of CPU a dimension, gudhi.bottleneck_distance (3.13) .2–4.2 s. The latter returns a
-slightly larger value than an exhaustive search for about one in 3,000 small random diagrams (more with e = 0); this one
-and gudhi.hera.bottleneck_distance with delta = 0 never did, so the tests compare with hera.
+On 20,000 samples of a sphere this takes .02–.07 s of CPU a dimension, gudhi.bottleneck_distance (3.13) .2–4.2 s. The latter
+returns a slightly larger value than an exhaustive search for about one in 3,000 small random diagrams (more with e = 0);
+this one and gudhi.hera.bottleneck_distance with delta = 0 never did, so the tests compare with hera.
 """
 
 from __future__ import annotations

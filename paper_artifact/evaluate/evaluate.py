@@ -1,7 +1,7 @@
 """Targets and dumps: one reconstruction measured against one ground truth (paper §4, "Metrics and verdict").
 
-A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same number of α×area-weighted
-samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by the
+A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same number of
+α×area-weighted samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by the
 ground truth's bounding-box diagonal, births and deaths are radii.
 """
 
@@ -111,8 +111,8 @@ def evaluate_samples(samples: np.ndarray, target: Target) -> dict:
     """Compare `samples` (n,3) float, world units, with `target`; n should be the target's for a fair reading.
 
     Returns a JSON-ready dict: "bottleneck" [3] (per dimension, finite bars), "counts" [3] (significant at the samples' own floor)
-    and "floor", "counts_at_target_floor" [3], "chamfer", "chamfer_sum", "hausdorff95", "bars" (per dimension the longest [birth, death],
-    at least 8 if there are, all longer than half the floor up to 24). Raises InputError as its parts do.
+    and "floor", "counts_at_target_floor" [3], "chamfer", "chamfer_sum", "hausdorff95", "bars" (per dimension the longest
+    [birth, death], at least 8 if there are, all longer than half the floor up to 24). Raises InputError as its parts do.
     """
     diagram = diagram_of(samples, target.diagonal)
     floor = measurement_floor(samples, target.diagonal)
@@ -148,7 +148,7 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = 3) -> float:
 
 
 def tails(dumps: Sequence[Mapping], last: int = 3) -> dict:
-    """Return {"steps", "bottleneck" [3], "chamfer", "hausdorff95"}: means over the last dumps, and the last one's "counts" [3]."""
+    """Return means over the last dumps, "bottleneck" [3], "chamfer", "hausdorff95", their "steps", and the last "counts" [3]."""
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
     means = {name: _rounded(float(np.mean([dump[name] for dump in chosen]))) for name in ("chamfer", "hausdorff95")}

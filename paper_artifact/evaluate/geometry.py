@@ -1,8 +1,8 @@
 """Distances between two point samples: Chamfer and the 95 % Hausdorff distance.
 
-All take a (n,3) and b (m,3) float, world units, and `diagonal`, the ground truth's bounding-box diagonal in the same unit, and return
-a fraction of that diagonal: not squared, not percent. Two samples of one surface do not reach zero: at 20,000 points each
-a unit sphere reads chamfer .36 %.
+All take a (n,3) and b (m,3) float, world units, and `diagonal`, the ground truth's bounding-box diagonal in the same unit,
+and return a fraction of that diagonal: not squared, not percent. Two samples of one surface do not reach zero: at 20,000
+points each a unit sphere reads chamfer .36 %.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from paper_artifact.train.run import render_views
 
 
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
-    """Return `count` images (size,size,3) float32 in [0,1] of the soup over white, from cameras spread around its visible triangles.
+    """Return `count` images (size,size,3) float32 in [0,1] of the soup over white, seen from all around.
 
     The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees.
     """
@@ -31,7 +31,7 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
 
 
 def scene_renders(soup: Soup, folder: Path | str) -> list[list[np.ndarray]]:
-    """Return two rows of images (H,W,3) float32 in [0,1]: the held-out photographs of the scene in `folder`, and the soup's renders.
+    """Return two rows of images (H,W,3) float32 in [0,1]: the scene's held-out photographs, and the soup's renders.
 
     Raises InputError as `load_scene` does.
     """

@@ -32,15 +32,15 @@ class Triangles:
         """Return the triangles whose mean opacity is at least `threshold`; InputError when none is left."""
         kept = self.opacity.mean(axis=1) >= threshold
         if not kept.any():
-            raise InputError(f"no triangle has an opacity of at least {threshold}: the soup is empty to the eye; train it further")
+            raise InputError(f"no triangle has an opacity of at least {threshold}: the soup looks empty; train it further")
         return Triangles(self.vertices[kept], self.colours[kept], self.opacity[kept])
 
 
 def soup_triangles(soup: Soup) -> Triangles:
     """Return the soup's triangles with the colour of each corner baked in: viewers know no shading MLP.
 
-    A corner's colour is the trained shading (base and MLP blended, DiffSoup) averaged over 14 directions to the camera, weighted with |cos|
-    to the triangle's normal, so that the directions a triangle is seen from count most, from either side.
+    A corner's colour is the trained shading (base and MLP blended, DiffSoup) averaged over 14 directions to the camera,
+    weighted with |cos| to the triangle's normal, so that the directions a triangle is seen from count most, from either side.
     """
     with torch.no_grad():
         vertices, features = soup.vertices.detach().cpu(), torch.sigmoid(soup.features.detach().cpu())

@@ -8,8 +8,8 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: #fff; color:
 canvas { width: 100%; height: 100%; display: block; touch-action: none; cursor: grab; }
 #bar { position: absolute; left: 12px; top: 10px; right: 12px; pointer-events: none; }
 #bar h1 { font-size: 15px; margin: 0 0 6px; font-weight: 600; }
-#bar button, #bar label { pointer-events: auto; margin: 0 6px 6px 0; padding: 3px 10px; border: 1px solid #999; border-radius: 4px;
-  background: #ffffffcc; font: inherit; color: inherit; cursor: pointer; display: inline-block; }
+#bar button, #bar label { pointer-events: auto; margin: 0 6px 6px 0; padding: 3px 10px;
+  border: 1px solid #999; border-radius: 4px; background: #ffffffcc; font: inherit; color: inherit; cursor: pointer; display: inline-block; }
 #bar button[aria-pressed=true] { background: #2c5f8a; border-color: #2c5f8a; color: #fff; }
 #hint { position: absolute; left: 12px; bottom: 8px; color: #666; font-size: 12px; pointer-events: none; }
 </style></head><body>
@@ -61,7 +61,7 @@ function prepare() {
       const length = Math.hypot(...c) || 1;
       for (let k = 0; k < 9; k++) n[i + k] = c[k % 3] / length;
     }
-    return { name: part.name, corners: 3 * part.count, position: buffer(p), normal: buffer(n), colour: buffer(bytes(part.colours)) };
+    return { corners: 3 * part.count, position: buffer(p), normal: buffer(n), colour: buffer(bytes(part.colours)) };
   });
   return program;
 }
@@ -85,7 +85,7 @@ let program = null, waiting = false;
 function draw() {
   waiting = false;
   const ratio = window.devicePixelRatio || 1;
-  const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
   gl.viewport(0, 0, width, height); gl.clearColor(1, 1, 1, 1); gl.enable(gl.DEPTH_TEST);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -108,7 +108,10 @@ function redraw() { if (!waiting) { waiting = true; requestAnimationFrame(draw);
 function zoom(factor) { view.distance = Math.min(12, Math.max(1.05, view.distance * factor)); redraw(); }
 
 const fingers = new Map();
-canvas.addEventListener("pointerdown", e => { fingers.set(e.pointerId, [e.clientX, e.clientY]); canvas.setPointerCapture(e.pointerId); });
+canvas.addEventListener("pointerdown", e => {
+  fingers.set(e.pointerId, [e.clientX, e.clientY]);
+  canvas.setPointerCapture(e.pointerId);
+});
 for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => fingers.delete(e.pointerId));
 canvas.addEventListener("pointermove", e => {
   const last = fingers.get(e.pointerId);

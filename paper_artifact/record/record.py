@@ -1,8 +1,8 @@
-"""Run records: what one run was, on what it ran, and what came out, in one small JSON file (paper, supplement E and H read these).
+"""Run records: what one run was, on what it ran, and what came out, in one small JSON file.
 
-File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of the config's
-canonical JSON. A second hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers that
-are not finite are stored as null: JSON has no NaN.
+File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of
+the config's canonical JSON. A second hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers
+that are not finite are stored as null: JSON has no NaN.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as JSON knows it: dataclasses and mappings to dicts, arrays and tuples to lists, numbers not finite to None."""
+    """Return `value` as JSON knows it: dataclasses, mappings → dicts; arrays, tuples → lists; NaN, infinity → None."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):

@@ -10,25 +10,26 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
 
 PUBLISHED = RESULTS / "published"
+NUMBERS = ("dimension", "value", "sd", "seeds", "seed", "samples", "genus")
 TEXTS = ("shape", "condition", "quantity", "note", "source", "knob", "setting")
 
 
 def tables(folder: Path | str = PUBLISHED) -> list[str]:
     """Return the names that `published` takes: "1", "2", "S1" … "S13" (tables), "noise", "cost", … (numbers in the text)."""
-    return sorted((path.stem.split("_", 1)[1] for path in Path(folder).glob("t*_*.csv")),
-                  key=lambda name: (not name.isdigit(), name[0] != "S", int(name.strip("S")) if name.strip("S").isdigit() else 0, name))
+    names = [path.stem.split("_", 1)[1] for path in Path(folder).glob("t*_*.csv")]
+    numbered = [name for name in names if name.lstrip("S").isdigit()]
+    return sorted(numbered, key=lambda name: (name[0] == "S", int(name.lstrip("S")))) + sorted(set(names) - set(numbered))
 
 
 def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
-    """Return one table of the paper: "1", "S7", "noise", ...; numbers as floats (NaN where the paper has none), texts as str ("").
+    """Return one table of the paper ("1", "S7", "noise", ...): numbers NaN, texts "" where the paper has none.
 
     Raises InputError for a name that is no table.
     """
     for kind in ("table", "text"):
         path = Path(folder) / f"{kind}_{table}.csv"
         if path.is_file():
-            frame = pd.read_csv(path, keep_default_na=False, na_values={"value": "", "sd": "", "seeds": "", "dimension": "", "seed": "",
-                                                                        "samples": "", "genus": ""})
+            frame = pd.read_csv(path, keep_default_na=False, na_values=dict.fromkeys(NUMBERS, ""))
             kinds = dict.fromkeys(TEXTS, str) | dict.fromkeys(("value", "sd"), float)
             return frame.astype({name: kind for name, kind in kinds.items() if name in frame})
     raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
