@@ -41,11 +41,13 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
 
     Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle is equilateral with uniformly
     random orientation and circumradius .25 × the mean nearest-neighbour spacing of the chosen points; logits start at zero.
-    Raises InputError for fewer than two points, points that are not finite, or points that all coincide.
+    Raises InputError for fewer than two points or triangles, points that are not finite, or points that all coincide.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D")
+    if count < 2:
+        raise InputError(f"a soup starts with at least two triangles, got {count}; the spacing of one point is not defined")
     count = min(count, len(points))
     draws = stream(seed, "initial-soup")
     chosen = farthest_points(points, count - int(count * RANDOM_PART), int(draws.integers(len(points))))

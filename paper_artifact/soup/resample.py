@@ -63,26 +63,32 @@ class Resampler:
                  ) -> tuple[Soup, ResampleReport]:
         """Return the resampled soup and a report; world_to_clip (n,4,4) are the training views, height and width their full size.
 
-        Raises RuntimeError when the result breaks an invariant (budget, finite vertices, features carried along).
+        Raises RuntimeError when a hook's answer has the wrong shape, or the result breaks an invariant (budget, finite vertices,
+        features carried along).
         """
         before = len(soup)
         half = (max(height // 2, 1), max(width // 2, 1))
         if len(soup) > self.budget:
             corners = soup.vertices.detach().cpu().numpy()
             counts = visible_pixels(soup, world_to_clip, *half).sum(0)
-            order = np.argsort(self.prune_weight(corners, counts), kind="stable")
+            priority = np.asarray(self.prune_weight(corners, counts))
+            if priority.shape != counts.shape or np.isnan(priority).any():
+                raise RuntimeError(f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN")
+            order = np.argsort(priority, kind="stable")
             soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget:])))
         pruned = len(soup)
         if step < self.split_until * steps:
             views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
             soup = self._split(soup, world_to_clip[views], *half)
-        self._check(soup, pruned)
+        self._check(soup, before, pruned)
         return soup, ResampleReport(before, pruned, len(soup))
 
     def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
         visible = visible_pixels(soup, world_to_clip, height, width) > 0
         corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
-        chosen = [self.split_weight(corners, seen) for seen in visible]
+        chosen = [np.asarray(self.split_weight(corners, seen)) for seen in visible]
+        if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
+            raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
         origins = np.arange(len(corners))
         for matrix, wanted in zip(world_to_clip, chosen):
             corners, origins = split_long_edges(corners, origins, wanted[origins], np.asarray(matrix, np.float64), width / height,
@@ -91,9 +97,9 @@ class Resampler:
             return soup
         return soup.select(torch.from_numpy(origins), torch.from_numpy(corners))
 
-    def _check(self, soup: Soup, pruned: int) -> None:
+    def _check(self, soup: Soup, before: int, pruned: int) -> None:
         sizes = {len(soup.vertices), len(soup.features), len(soup.opacity)}
-        if len(sizes) != 1 or len(soup) < pruned or pruned == 0 or (self.budget < pruned):
+        if len(sizes) != 1 or len(soup) < pruned or pruned == 0 or pruned != min(before, self.budget):
             raise RuntimeError(f"resampling broke the soup: sizes {sizes}, {pruned} kept of a budget of {self.budget}")
         if not torch.isfinite(soup.vertices).all():
             raise RuntimeError("resampling met vertices that are not finite")

@@ -81,8 +81,10 @@ def load_soup(path: Path | str) -> Soup:
             mlp = tuple(torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES)))
     except Exception as error:  # numpy raises many kinds for a damaged archive
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
-    count = len(tensors[0])
     shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]
+    count = shapes[0][0] if shapes[0] else 0
     if count == 0 or shapes != [(count, 3, 3), (count, 3, 7), (count, 3), *MLP_SHAPES]:
-        raise InputError(f"{path} does not hold a soup: array shapes {shapes}")
+        raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
+    if not all(torch.isfinite(tensor).all() for tensor in (*tensors, *mlp)):
+        raise InputError(f"the soup {path} holds values that are not finite; train it again")
     return Soup(*tensors, mlp)

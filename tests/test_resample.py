@@ -1,0 +1,241 @@
+"""Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule, hooks, sanity check."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from paper_artifact.randomness import stream
+from paper_artifact.raster import twin
+from paper_artifact.soup.resample import Resampler, all_visible, visible_pixels
+from paper_artifact.soup.split import split_long_edges
+from paper_artifact.soup.state import Soup, initial_mlp
+from tests.raster_cases import cameras, look_at, soup as random_soup
+
+HEIGHT = 40
+
+
+def case(seed: int = 0, count: int = 60, size: float = 0.3) -> Soup:
+    """Return a random soup whose features and opacity logits tell which triangle and corner they come from."""
+    parts = random_soup(seed, count, size)
+    features = torch.arange(count * 21, dtype=torch.float32).reshape(count, 3, 7) / (count * 21)
+    return Soup(parts["vertices"].float(), features, torch.logit(parts["opacity"]).float(), initial_mlp(seed)).trainable()
+
+
+def views(count: int = 5) -> np.ndarray:
+    return cameras(3, count).numpy().astype(np.float32)
+
+
+def independent_counts(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Visible pixels per triangle, summed over the views, from the float64 twin."""
+    with torch.no_grad():
+        raster = twin.rasterize(soup.vertices.double(), torch.sigmoid(soup.opacity.double()),
+                                torch.from_numpy(world_to_clip).double(), height, width, None)
+    return np.bincount(raster.triangle.numpy().ravel(), minlength=len(soup) + 1)[1:]
+
+
+def areas(corners: np.ndarray) -> np.ndarray:
+    corners = np.asarray(corners, np.float64)
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+
+
+def screen(corners: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """NDC x and y (T,3,2) and whether the corner is in the clip cube (T,3)."""
+    clip = np.concatenate([np.asarray(corners, np.float64), np.ones((*corners.shape[:2], 1))], -1) @ np.asarray(matrix, np.float64).T
+    ndc = clip[..., :3] / clip[..., 3:]
+    return ndc[..., :2], (clip[..., 3] > 0) & (np.abs(ndc) <= 1).all(-1)
+
+
+def edge_lengths(corners: np.ndarray, matrix: np.ndarray, aspect: float) -> np.ndarray:
+    """Screen lengths (T,3) in NDC, x scaled by `aspect`; 0 where an end is outside the clip cube."""
+    position, inside = screen(corners, matrix)
+    difference = (position - np.roll(position, -1, axis=1)) * (aspect, 1.0)
+    return np.where(inside & np.roll(inside, -1, axis=1), np.linalg.norm(difference, axis=-1), 0.0)
+
+
+def split(corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: float = 1.0, limit: float = 0.4):
+    corners = np.ascontiguousarray(corners)
+    return split_long_edges(corners, np.arange(len(corners)), wanted, np.asarray(matrix, np.float64), aspect, limit)
+
+
+def test_pruning_keeps_the_most_visible_in_their_order():
+    soup, world_to_clip = case(), views()
+    budget = 25
+    kept, report = Resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100)  # step 99 of 100: no split any more
+    assert (report.before, report.pruned, report.after) == (60, budget, budget) and len(kept) == budget
+
+    counts = independent_counts(soup, world_to_clip, HEIGHT // 2, HEIGHT // 2)
+    order = sorted(range(len(soup)), key=lambda t: (counts[t], t))  # the least visible first, ties by index
+    wanted = sorted(order[len(soup) - budget:])
+    assert counts[wanted].min() >= max(counts[t] for t in range(len(soup)) if t not in wanted)
+    for before, after in ((soup.vertices, kept.vertices), (soup.features, kept.features), (soup.opacity, kept.opacity)):
+        assert torch.equal(after, before[wanted])
+        assert after.is_leaf and after.requires_grad
+    assert kept.mlp is soup.mlp
+
+
+def test_visible_pixels_are_those_of_the_twin_up_to_rounding_at_edges():
+    soup, world_to_clip = case(1), views()
+    mine = visible_pixels(soup, world_to_clip, 32, 32)
+    assert mine.shape == (5, 60)
+    theirs = independent_counts(soup, world_to_clip, 32, 32)
+    assert np.abs(mine.sum(0) - theirs).sum() <= 2 and theirs.sum() > 300
+
+
+def test_within_the_budget_nothing_is_pruned():
+    soup = case()
+    kept, report = Resampler(60).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
+    assert kept is soup and report.pruned == 60
+    assert len(Resampler(500).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)[0]) == 60
+
+
+def test_schedule_of_2500_steps():
+    resampler = Resampler(1200)
+    assert [step for step in range(1, 2501) if resampler.due(step, 2500)] == list(range(100, 2301, 100))
+    assert [step for step in range(1, 61) if Resampler(9, interval=10).due(step, 60)] == [10, 20, 30, 40, 50]
+
+
+def test_the_last_resamplings_prune_but_do_not_split():
+    soup = case(2, size=1.0)
+    resampler = Resampler(40, prune_until=1.1, split_height=0.1)
+    split_soup, report = resampler.resample(soup, views(), HEIGHT, HEIGHT, 0, 94, 100)
+    assert report.pruned == 40 and report.after == len(split_soup) > 40
+    assert len(resampler.resample(soup, views(), HEIGHT, HEIGHT, 0, 95, 100)[0]) == 40
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.3, 2.0), st.floats(0.15, 0.8), st.floats(0.5, 2.0))
+def test_split_invariants(seed, size, limit, aspect):
+    corners = random_soup(seed, 12, size)["vertices"].numpy()
+    matrix = look_at(stream(seed, "split camera").normal(size=3) * 2 + (0, 0, 4))
+    wanted = stream(seed, "wanted").random(12) < 0.7
+    children, origins = split(corners, wanted, matrix, aspect, limit)
+    # No edge of a wanted triangle stays longer than the limit; the others are as they were.
+    assert (edge_lengths(children, matrix, aspect)[wanted[origins]] <= limit * (1 + 1e-9)).all()
+    for t in np.flatnonzero(~wanted):
+        assert (origins == t).sum() == 1 and np.array_equal(children[t], corners[t])
+    # Every parent's area is its children's.
+    assert np.array_equal(np.unique(origins), np.arange(12))
+    np.testing.assert_allclose(np.bincount(origins, areas(children)), areas(corners), rtol=1e-9)
+    # The union too: each child lies in its parent, facing the same way; with equal areas they tile it.
+    for child, origin in zip(children, origins):
+        a, b, c = corners[origin]
+        weights = np.linalg.lstsq(np.stack([b - a, c - a], 1), (child - a).T, rcond=None)[0].T
+        np.testing.assert_allclose(a + weights @ np.stack([b - a, c - a]), child, atol=1e-9)
+        assert weights.min() > -1e-6 and weights.sum(1).max() < 1 + 1e-6
+        assert np.cross(child[1] - child[0], child[2] - child[0]) @ np.cross(b - a, c - a) > 0
+
+
+def test_the_split_point_is_the_midpoint_in_the_image_not_in_space():
+    matrix = look_at((0.0, 0.0, -4.0))
+    corners = np.array([[[-0.6, 0.0, -1.5], [0.7, 0.1, 1.5], [0.0, 0.2, 0.0]]])
+    lengths = edge_lengths(corners, matrix, 1.0)[0]
+    children, origins = split(corners, np.array([True]), matrix, limit=0.99 * lengths.max())
+    assert len(children) == 2 and lengths.argmax() == 0 and origins.tolist() == [0, 0]
+    (a, middle, c), (again, b, c2) = children
+    assert np.array_equal(a, corners[0, 0]) and np.array_equal(b, corners[0, 1])
+    assert np.array_equal(c, corners[0, 2]) and np.array_equal(c2, c) and np.array_equal(again, middle)
+    position = screen(corners, matrix)[0][0]
+    np.testing.assert_allclose(screen(middle[None, None], matrix)[0][0, 0], position[:2].mean(0), atol=1e-12)
+    assert np.linalg.norm(middle - corners[0, :2].mean(0)) > 0.1
+    # On the edge itself: its cross product with the edge vanishes.
+    np.testing.assert_allclose(np.cross(middle - a, b - a), 0, atol=1e-12)
+
+
+def test_an_edge_with_an_end_outside_the_clip_cube_is_left_alone():
+    matrix = look_at((0.0, 0.0, -4.0))
+    outside = np.array([[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]], [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]])
+    children, origins = split(outside, np.ones(2, bool), matrix)
+    assert np.array_equal(children, outside) and origins.tolist() == [0, 1]
+
+
+def test_many_splits_outgrow_the_first_buffer():
+    corners = np.array([[[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]]], np.float32)
+    children, origins = split(corners, np.array([True]), look_at((0.0, 0.0, -4.0)), limit=0.05)
+    assert len(children) > 500 and not origins.any() and children.dtype == np.float32
+    assert areas(children).sum() == pytest.approx(2.0, rel=1e-5)
+
+
+def test_children_inherit_features_and_opacity_and_the_same_triangles_are_split_whatever_the_order():
+    soup, world_to_clip = case(4, size=1.0), views()
+    resampler = Resampler(60, split_views=3, split_height=0.15)
+    after, report = resampler.resample(soup, world_to_clip, HEIGHT, 2 * HEIGHT, 7, 10, 100)
+    assert report.after == len(after) > report.pruned == 60
+    # Features name their triangle: their first entry, times what `case` divided by.
+    origins = np.rint(after.features[:, 0, 0].detach().numpy() * 60 * 21 / 21).astype(int)
+    assert torch.equal(after.features, soup.features[origins]) and torch.equal(after.opacity, soup.opacity[origins])
+    np.testing.assert_allclose(np.bincount(origins, areas(after.vertices.detach().numpy())), areas(soup.vertices.detach().numpy()),
+                               rtol=1e-3, atol=1e-6)
+    # Only triangles that some drawn view shows are split, by the drawn views; in the last one no visible one is too long.
+    drawn = stream(7, "split-views", 10).permutation(5)[:3]
+    seen = visible_pixels(soup, world_to_clip[drawn], HEIGHT // 2, HEIGHT) > 0
+    assert seen.any(0)[np.flatnonzero(np.bincount(origins) > 1)].all()
+    lengths = edge_lengths(after.vertices.detach().numpy(), world_to_clip[drawn[-1]], 2.0)
+    assert (lengths[seen[-1][origins]] <= 0.3 * (1 + 1e-5)).all()
+    assert (edge_lengths(soup.vertices.detach().numpy(), world_to_clip[drawn[-1]], 2.0)[seen[-1]] > 0.3).any()
+
+
+def test_no_split_views_beyond_those_there_are_and_the_same_seed_gives_the_same_bits():
+    soup = case(5, size=1.0)
+    first, second = (Resampler(60, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0] for _ in range(2))
+    assert torch.equal(first.vertices, second.vertices)
+    other = Resampler(60, split_views=1).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0]
+    assert len(other) < len(first)
+
+
+def test_prune_weight_decides_the_order():
+    soup = case()
+
+    def last_first(corners, counts):
+        assert corners.shape == (60, 3, 3) and counts.shape == (60,) and counts.dtype == np.int64
+        return -np.arange(60)
+
+    kept, _ = Resampler(10, prune_weight=last_first).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
+    assert torch.equal(kept.vertices, soup.vertices[:10])
+
+
+def test_split_weight_chooses_among_the_visible():
+    soup, world_to_clip = case(4, size=1.0), views()
+    asked = []
+
+    def none(corners, visible):
+        asked.append((corners.shape, visible))
+        return np.zeros_like(visible)
+
+    resampler = Resampler(60, split_views=3, split_weight=none)
+    assert resampler.resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0] is soup
+    assert len(asked) == 3 and all(shape == (60, 3, 3) and visible.dtype == bool for shape, visible in asked)
+
+    def only_the_first_half(corners, visible):
+        return visible & (np.arange(len(visible)) < 30)
+
+    some, every = (len(replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0])
+                   for weight in (only_the_first_half, all_visible))
+    assert 60 < some < every
+
+
+@pytest.mark.parametrize("weight", [lambda corners, counts: counts[:10], lambda corners, counts: np.where(counts > 0, np.nan, 1.0)])
+def test_a_prune_weight_that_is_not_one_number_per_triangle_is_refused(weight):
+    with pytest.raises(RuntimeError, match="prune_weight must give one number per triangle"):
+        Resampler(20, prune_weight=weight).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
+
+
+def test_a_split_weight_that_is_not_one_bool_per_triangle_is_refused():
+    with pytest.raises(RuntimeError, match="split_weight must give one bool"):
+        Resampler(60, split_weight=lambda corners, visible: np.flatnonzero(visible)).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
+
+
+def test_sanity_check_stops_vertices_that_are_not_finite_and_parts_of_other_length():
+    soup = case()
+    with torch.no_grad():
+        soup.vertices[3, 1, 2] = torch.nan
+    with pytest.raises(RuntimeError, match="not finite"):
+        Resampler(60).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
+    soup = case()
+    with pytest.raises(RuntimeError, match="resampling broke the soup"):
+        Resampler(60).resample(replace(soup, features=soup.features[:50]), views(), HEIGHT, HEIGHT, 0, 99, 100)

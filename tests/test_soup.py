@@ -1,0 +1,179 @@
+"""The soup: initialisation on a point cloud, saving and loading."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
+from paper_artifact.soup.initialise import farthest_points, initial_soup
+from paper_artifact.soup.state import MLP_SHAPES, Soup, initial_mlp, load_soup, save_soup
+
+
+def cloud(seed: int, count: int) -> np.ndarray:
+    return stream(seed, "soup test cloud").normal(size=(count, 3))
+
+
+def tensors(soup: Soup) -> list[torch.Tensor]:
+    return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 60), st.data())
+def test_farthest_points_against_a_naive_reference(seed, count, data):
+    points = cloud(seed, count)
+    wanted, first = data.draw(st.integers(1, count)), data.draw(st.integers(0, count - 1))
+    chosen = [first]
+    while len(chosen) < wanted:
+        chosen.append(int(cdist(points, points[chosen]).min(1).argmax()))
+    assert farthest_points(points, wanted, first).tolist() == chosen
+
+
+def test_initial_triangles_are_equilateral_on_distinct_points_with_a_quarter_of_their_spacing():
+    points = cloud(1, 400)
+    soup = initial_soup(points, 90, 5)
+    corners = soup.vertices.detach().numpy().astype(np.float64)
+    assert soup.vertices.dtype == torch.float32 and corners.shape == (90, 3, 3)
+    centres = corners.mean(1)
+    distance = cdist(centres, points)
+    chosen = distance.argmin(1)
+    np.testing.assert_allclose(distance.min(1), 0, atol=1e-6)  # the centroid is the point itself
+    assert len(set(chosen)) == 90
+
+    between = cdist(points[chosen], points[chosen])
+    np.fill_diagonal(between, np.inf)
+    radius = 0.25 * between.min(1).mean()
+    np.testing.assert_allclose(np.linalg.norm(corners - centres[:, None], axis=-1), radius, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1), np.sqrt(3) * radius, rtol=1e-5)
+
+    # The first two thirds are farthest points, from the first on.
+    wanted = farthest_points(points, 60, chosen[0])
+    assert chosen[:60].tolist() == wanted.tolist()
+    assert not soup.features.any() and not soup.opacity.any()
+    assert all(tensor.is_leaf and tensor.requires_grad for tensor in tensors(soup))
+
+
+def test_orientations_are_uniform():
+    corners = initial_soup(cloud(2, 3000), 3000, 0).vertices.detach().numpy()
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    # Of a uniform direction: mean 0, covariance 1/3; five standard errors.
+    assert np.abs(normals.mean(0)).max() < 5 / np.sqrt(3 * 3000)
+    np.testing.assert_allclose(normals.T @ normals / 3000, np.eye(3) / 3, atol=5 * 0.3 / np.sqrt(3000))
+
+
+def test_more_triangles_than_points_takes_every_point_once():
+    points = cloud(3, 20)
+    corners = initial_soup(points, 50, 0).vertices.detach().numpy()
+    assert len(corners) == 20
+    assert sorted(cdist(corners.mean(1), points).argmin(1)) == list(range(20))
+
+
+def test_the_start_depends_on_the_seed_alone():
+    points = cloud(4, 100)
+    first, second, other = (initial_soup(points, 30, seed) for seed in (1, 1, 2))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(second)))
+    assert not torch.equal(first.vertices, other.vertices) and not torch.equal(first.mlp[0], other.mlp[0])
+
+
+def test_mlp_starts_kaiming_xavier_and_zero():
+    weights = initial_mlp(0)
+    assert tuple(tuple(tensor.shape) for tensor in weights) == MLP_SHAPES
+    assert not any(tensor.any() for tensor in weights[1::2])
+    # Kaiming-uniform sqrt(6/16) for the hidden layers, Xavier-uniform sqrt(6/(16+3)) for the last; 256 draws come near the bound.
+    for tensor, bound in zip(weights[::2], (np.sqrt(6 / 16), np.sqrt(6 / 16), np.sqrt(6 / 19))):
+        assert 0.9 * bound < tensor.abs().max() <= bound
+
+
+@pytest.mark.parametrize("points, words", [
+    (np.zeros((1, 3)), "at least two finite points"),
+    (np.full((9, 3), np.nan), "at least two finite points"),
+    (np.zeros((9, 2)), "at least two finite points"),
+    (np.ones((9, 3)), "coincide"),
+])
+def test_a_cloud_that_cannot_start_a_soup_is_refused(points, words):
+    with pytest.raises(InputError, match=words):
+        initial_soup(points, 5, 0)
+
+
+def test_a_start_of_one_triangle_is_refused():
+    with pytest.raises(InputError, match="at least two triangles"):
+        initial_soup(cloud(0, 9), 1, 0)
+
+
+@pytest.fixture
+def stored(tmp_path):
+    soup = initial_soup(cloud(5, 60), 40, 3)
+    path = tmp_path / "below" / "soup.npz"
+    save_soup(path, soup)
+    return soup, path
+
+
+def test_save_and_load_give_the_same_bits(stored):
+    soup, path = stored
+    again = load_soup(path)
+    assert len(again) == 40
+    assert all(torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(tensors(soup), tensors(again)))
+    assert [file.name for file in path.parent.iterdir()] == ["soup.npz"]
+
+
+def test_select_carries_everything_along_and_copies(stored):
+    soup, _ = stored
+    wanted = torch.tensor([7, 0, 7])
+    chosen = soup.select(wanted)
+    assert torch.equal(chosen.vertices, soup.vertices[wanted]) and chosen.mlp is soup.mlp
+    with torch.no_grad():
+        chosen.vertices.zero_()
+    assert soup.vertices.any(dim=-1).all()
+    moved = soup.select(wanted, torch.ones(3, 3, 3))
+    assert torch.equal(moved.vertices, torch.ones(3, 3, 3)) and torch.equal(moved.opacity, soup.opacity[wanted])
+
+
+@pytest.mark.parametrize("cut", [0, 10, 0.5, -20])
+def test_a_soup_that_is_cut_off_is_refused(stored, cut):
+    _, path = stored
+    data = path.read_bytes()
+    path.write_bytes(data[: int(cut * len(data)) if isinstance(cut, float) else cut])
+    with pytest.raises(InputError, match="soup.npz is not a readable soup"):
+        load_soup(path)
+
+
+def rewritten(path, **changes) -> None:
+    with np.load(path) as data:
+        arrays = {name: data[name] for name in data}
+    np.savez(path, **{name: array for name, array in (arrays | changes).items() if array is not None})
+
+
+@pytest.mark.parametrize("changes, words", [
+    ({"mlp_3": None}, "not a readable soup"),
+    ({"vertices": np.zeros((40, 9))}, "does not hold a soup"),
+    ({"vertices": np.float32(1)}, "does not hold a soup"),
+    ({"opacity": np.zeros((39, 3))}, "does not hold a soup"),
+    ({"features": np.array(["a", "b"])}, "not a readable soup"),
+    ({"features": np.full((40, 3, 7), np.nan)}, "not finite"),
+])
+def test_a_foreign_soup_is_refused(stored, changes, words):
+    _, path = stored
+    rewritten(path, **changes)
+    with pytest.raises(InputError, match=words):
+        load_soup(path)
+
+
+def test_a_missing_soup_and_a_text_file_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no soup at"):
+        load_soup(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("not an archive")
+    with pytest.raises(InputError, match="not a readable soup"):
+        load_soup(tmp_path / "text.npz")
+
+
+def test_saving_below_a_file_is_refused_and_leaves_nothing(tmp_path, stored):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write"):
+        save_soup(tmp_path / "file" / "soup.npz", stored[0])
+    assert (tmp_path / "file").read_text() == ""
