@@ -1,8 +1,8 @@
 """Targets and dumps: one reconstruction measured against one ground truth (paper §4, "Metrics and verdict").
 
 A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same number of
-α×area-weighted samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by the
-ground truth's bounding-box diagonal, births and deaths are radii.
+α×area-weighted samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by
+the ground truth's bounding-box diagonal, births and deaths are radii.
 """
 
 from __future__ import annotations

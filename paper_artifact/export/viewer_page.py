@@ -9,7 +9,8 @@ canvas { width: 100%; height: 100%; display: block; touch-action: none; cursor: 
 #bar { position: absolute; left: 12px; top: 10px; right: 12px; pointer-events: none; }
 #bar h1 { font-size: 15px; margin: 0 0 6px; font-weight: 600; }
 #bar button, #bar label { pointer-events: auto; margin: 0 6px 6px 0; padding: 3px 10px;
-  border: 1px solid #999; border-radius: 4px; background: #ffffffcc; font: inherit; color: inherit; cursor: pointer; display: inline-block; }
+  border: 1px solid #999; border-radius: 4px; background: #ffffffcc; color: inherit; font: inherit;
+  cursor: pointer; display: inline-block; }
 #bar button[aria-pressed=true] { background: #2c5f8a; border-color: #2c5f8a; color: #fff; }
 #hint { position: absolute; left: 12px; bottom: 8px; color: #666; font-size: 12px; pointer-events: none; }
 </style></head><body>
