@@ -64,27 +64,27 @@ def _first_tetrahedron(points: np.ndarray, order: np.ndarray, ws: np.ndarray) ->
 
 
 @njit(cache=True, nogil=True)
-def _in_conflict(points: np.ndarray, cells: np.ndarray, neighbours: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
+def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
     """Whether p destroys cell t: p inside its sphere; for an infinite cell, p beyond its hull triangle or inside its circle."""
-    if cells[t, 3] == INFINITE:
-        side = orient3d(points, cells[t, 0], cells[t, 1], cells[t, 2], p, ws)
+    if mesh[t, 3] == INFINITE:
+        side = orient3d(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], p, ws)
         if side != 0.0:
             return side > 0.0
-        t = neighbours[t, 3]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
-    return insphere(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], p, ws) > 0.0
+        t = mesh[t, 7]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
+    return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
 
 
 @njit(cache=True, nogil=True)
-def _locate(points: np.ndarray, cells: np.ndarray, neighbours: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
+def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
     """Walk from cell t to the finite cell that contains p, or to an infinite one whose triangle p lies beyond."""
-    if cells[t, 3] == INFINITE:
-        t = neighbours[t, 3]
+    if mesh[t, 3] == INFINITE:
+        t = mesh[t, 7]
     previous = -1
-    while cells[t, 3] != INFINITE:
-        a, b, c, d = cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3]
+    while mesh[t, 3] != INFINITE:
+        a, b, c, d = mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3]
         following = -1
         for i in range(4):
-            other = neighbours[t, i]
+            other = mesh[t, 4 + i]
             if other == previous:
                 continue
             if i == 0:
@@ -115,13 +115,13 @@ def _grown(array: np.ndarray, rows: int) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _start(cells: np.ndarray, neighbours: np.ndarray) -> None:
+def _start(mesh: np.ndarray) -> None:
     """The first tetrahedron (0, 1, 2, 3) and the four infinite cells around it."""
-    cells[0, 0], cells[0, 1], cells[0, 2], cells[0, 3] = 0, 1, 2, 3
-    cells[1, 0], cells[1, 1], cells[1, 2], cells[1, 3] = 3, 1, 2, INFINITE
-    cells[2, 0], cells[2, 1], cells[2, 2], cells[2, 3] = 0, 3, 2, INFINITE
-    cells[3, 0], cells[3, 1], cells[3, 2], cells[3, 3] = 0, 1, 3, INFINITE
-    cells[4, 0], cells[4, 1], cells[4, 2], cells[4, 3] = 1, 0, 2, INFINITE
+    mesh[0, 0], mesh[0, 1], mesh[0, 2], mesh[0, 3] = 0, 1, 2, 3
+    mesh[1, 0], mesh[1, 1], mesh[1, 2], mesh[1, 3] = 3, 1, 2, INFINITE
+    mesh[2, 0], mesh[2, 1], mesh[2, 2], mesh[2, 3] = 0, 3, 2, INFINITE
+    mesh[3, 0], mesh[3, 1], mesh[3, 2], mesh[3, 3] = 0, 1, 3, INFINITE
+    mesh[4, 0], mesh[4, 1], mesh[4, 2], mesh[4, 3] = 1, 0, 2, INFINITE
     for s in range(5):  # each pair of cells shares one triangle: the slots whose vertices the other cell lacks
         for t in range(5):
             if s == t:
@@ -129,31 +129,31 @@ def _start(cells: np.ndarray, neighbours: np.ndarray) -> None:
             for i in range(4):
                 lacking = True
                 for j in range(4):
-                    if cells[t, j] == cells[s, i]:
+                    if mesh[t, j] == mesh[s, i]:
                         lacking = False
                 if lacking:
-                    neighbours[s, i] = t
+                    mesh[s, 4 + i] = t
 
 
 @njit(cache=True, nogil=True)
-def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, int]:
     """Delaunay tetrahedra of (n, 3) float64 points, scaled as ordering.normalised does, given in insertion order.
 
     points and `order` (n,) (any labels that travel with the rows) are permuted IN PLACE so that the first four rows are affinely
     independent; all indices refer to the rows afterwards.
-    Returns cells (m, 4) int32, positively oriented; neighbours (m, 4) int32, the cell across the triangle opposite vertex i or -1
-    outside the hull; same (n,) int32, for each row the row it exactly duplicates, or itself. m = 0 when all points are coplanar.
+    Returns mesh (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively oriented,
+    infinite cells with vertex -1 in column 3, unused rows with -2 in column 0; and the number of distinct points. A row that exactly
+    duplicates an earlier one is in no cell. c = 0 when all points are coplanar.
     """
     n = len(points)
     ws = np.empty(WORKSPACE)
-    same = np.arange(n).astype(np.int32)
+    distinct = n
     if n < 4 or not _first_tetrahedron(points, order, ws):
-        return np.empty((0, 4), dtype=np.int32), np.empty((0, 4), dtype=np.int32), same
+        return np.empty((0, 8), dtype=np.int32), 0
     capacity = 9 * n + 64
-    cells = np.empty((capacity, 4), dtype=np.int32)
-    neighbours = np.empty((capacity, 4), dtype=np.int32)
+    mesh = np.empty((capacity, 8), dtype=np.int32)  # a cell's vertices, then its neighbours opposite to them
     mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not
-    _start(cells, neighbours)
+    _start(mesh)
     used = 5
     free = np.empty((capacity, 1), dtype=np.int32)
     free_count = 0
@@ -161,17 +161,19 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
     rim = np.empty((256, 6), dtype=np.int32)  # new cell's vertices, the slot of p, the cell outside
     table = 1024
     slot_keys = np.empty(table, dtype=np.int64)
-    slot_cells = np.empty(table, dtype=np.int32)
+    slot_sides = np.empty(table, dtype=np.int32)
     slot_stamps = np.zeros(table, dtype=np.int32)
     last = 0
     for p in range(4, n):
-        first = _locate(points, cells, neighbours, last, p, ws)
-        if cells[first, 3] != INFINITE:
+        first = _locate(points, mesh, last, p, ws)
+        if mesh[first, 3] != INFINITE:
+            known = False
             for i in range(4):
-                v = cells[first, i]
+                v = mesh[first, i]
                 if points[v, 0] == points[p, 0] and points[v, 1] == points[p, 1] and points[v, 2] == points[p, 2]:
-                    same[p] = v
-            if same[p] != p:
+                    known = True
+            if known:
+                distinct -= 1
                 last = first
                 continue
         # the cavity: all cells in conflict, connected; its rim becomes the new cells
@@ -187,19 +189,19 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
             if faces + 4 > len(rim):
                 rim = _grown(rim, 2 * len(rim))
             for i in range(4):
-                other = neighbours[t, i]
+                other = mesh[t, 4 + i]
                 state = mark[other, 0]
                 if state == inside:
                     continue
                 if state != outside:
-                    if _in_conflict(points, cells, neighbours, other, p, ws):
+                    if _in_conflict(points, mesh, other, p, ws):
                         mark[other, 0] = inside
                         cavity[count, 0] = other
                         count += 1
                         continue
                     mark[other, 0] = outside
                 for j in range(4):
-                    rim[faces, j] = cells[t, j]
+                    rim[faces, j] = mesh[t, j]
                 rim[faces, i] = p
                 rim[faces, 4] = 4 * t + i
                 rim[faces, 5] = other
@@ -208,7 +210,7 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
             other = rim[f, 5]
             old, i = rim[f, 4] // 4, rim[f, 4] % 4
             for j in range(4):
-                if neighbours[other, j] == old:
+                if mesh[other, 4 + j] == old:
                     rim[f, 4] = 4 * i + j
                     break
         if free_count + count > len(free):
@@ -216,15 +218,15 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
         for k in range(count):
             free[free_count, 0] = cavity[k, 0]
             free_count += 1
-            cells[cavity[k, 0], 0] = DEAD
-        if used + faces > len(cells):
-            rows = 2 * len(cells) + faces
-            cells, neighbours, mark = _grown(cells, rows), _grown(neighbours, rows), _grown(mark, rows)
+            mesh[cavity[k, 0], 0] = DEAD
+        if used + faces > len(mesh):
+            rows = 2 * len(mesh) + faces
+            mesh, mark = _grown(mesh, rows), _grown(mark, rows)
         if 3 * faces > table:
             while table < 6 * faces:
                 table *= 2
             slot_keys = np.empty(table, dtype=np.int64)
-            slot_cells = np.empty(table, dtype=np.int32)
+            slot_sides = np.empty(table, dtype=np.int32)
             slot_stamps = np.zeros(table, dtype=np.int32)
         for f in range(faces):
             if free_count > 0:
@@ -235,10 +237,10 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
                 used += 1
             i, back, other = rim[f, 4] // 4, rim[f, 4] % 4, rim[f, 5]
             for j in range(4):
-                cells[t, j] = rim[f, j]
+                mesh[t, j] = rim[f, j]
             mark[t, 0] = 0
-            neighbours[t, i] = other
-            neighbours[other, back] = t
+            mesh[t, 4 + i] = other
+            mesh[other, 4 + back] = t
             last = t
             for j in range(4):  # the triangle opposite j holds p and an edge of the rim, which one other new cell has as well
                 if j == i:
@@ -254,30 +256,41 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.n
                 while slot_stamps[place] == p and slot_keys[place] != key:
                     place = (place + 1) & (table - 1)
                 if slot_stamps[place] == p:
-                    mate, side = slot_cells[place] // 4, slot_cells[place] % 4
-                    neighbours[t, j] = mate
-                    neighbours[mate, side] = t
+                    mate, side = slot_sides[place] // 4, slot_sides[place] % 4
+                    mesh[t, 4 + j] = mate
+                    mesh[mate, 4 + side] = t
                 else:
                     slot_stamps[place] = p
                     slot_keys[place] = key
-                    slot_cells[place] = 4 * t + j
-    return _finite(cells[:used], neighbours[:used], same)
+                    slot_sides[place] = 4 * t + j
+    return mesh[:used], distinct
 
 
 @njit(cache=True, nogil=True)
-def _finite(cells: np.ndarray, neighbours: np.ndarray, same: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Only the finite cells, renumbered."""
-    number = np.full(len(cells), -1, dtype=np.int32)
-    m = 0
-    for t in range(len(cells)):
-        if cells[t, 0] != DEAD and cells[t, 3] != INFINITE:
-            number[t] = m
-            m += 1
-    kept = np.empty((m, 4), dtype=np.int32)
-    across = np.empty((m, 4), dtype=np.int32)
-    for t in range(len(cells)):
+def finite_cells(mesh: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The finite cells of `triangulate` with row v renamed rank[v], sorted by their smallest vertex so that near cells are near in memory.
+
+    rank: (n,) int32, a permutation. Returns cells (m, 4) and neighbours (m, 4), int32, -1 for the outside of the hull.
+    """
+    used = len(mesh)
+    firsts = np.full(used, np.int32(-1))
+    starts = np.zeros(len(rank) + 1, dtype=np.int32)
+    for t in range(used):
+        if mesh[t, 0] != DEAD and mesh[t, 3] != INFINITE:
+            firsts[t] = min(min(rank[mesh[t, 0]], rank[mesh[t, 1]]), min(rank[mesh[t, 2]], rank[mesh[t, 3]]))
+            starts[firsts[t] + 1] += 1
+    for v in range(len(rank)):
+        starts[v + 1] += starts[v]
+    m = starts[len(rank)]
+    number = np.full(used, np.int32(-1))
+    for t in range(used):
+        if firsts[t] >= 0:
+            number[t] = starts[firsts[t]]
+            starts[firsts[t]] += 1
+    cells, neighbours = np.empty((m, 4), dtype=np.int32), np.empty((m, 4), dtype=np.int32)
+    for t in range(used):
         if number[t] >= 0:
             for i in range(4):
-                kept[number[t], i] = cells[t, i]
-                across[number[t], i] = number[neighbours[t, i]]
-    return kept, across, same
+                cells[number[t], i] = rank[mesh[t, i]]
+                neighbours[number[t], i] = number[mesh[t, 4 + i]]
+    return cells, neighbours

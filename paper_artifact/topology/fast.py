@@ -12,7 +12,7 @@ from paper_artifact.topology.expansions import WORKSPACE
 
 def squared_pairs(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple | None:
     """For dimensions 0, 1, 2: (births, deaths, birth simplices, death simplices), SQUARED radii in the unit of the points squared and
-    row indices of `points`; all pairs, empty ones too. None when the points span no tetrahedron.
+    row indices of `points`; births < deaths in dimensions 1 and 2. None when the points span no tetrahedron.
 
     points: (n, 3) float64, finite. `clock`, when given, receives the seconds of each stage.
     """
@@ -20,27 +20,38 @@ def squared_pairs(points: np.ndarray, clock: dict[str, float] | None = None) -> 
     scaled, unit = ordering.normalised(points)
     if len(points) < 4:
         return None
-    order = ordering.insertion_order(scaled)
+    order = ordering.insertion_order(scaled, ordering.ROUNDS)
     ordered = np.ascontiguousarray(scaled[order])
-    cells, neighbours, same = delaunay.triangulate(ordered, order)
-    if len(cells) == 0:
+    mesh, distinct = delaunay.triangulate(ordered, order)
+    if len(mesh) == 0:
         return None
+    along = ordering.insertion_order(ordered, 0)  # from here on the vertices follow the Hilbert curve: fewer cache misses
+    rank = np.empty_like(along)
+    rank[along] = np.arange(len(along), dtype=np.int32)
+    order, ordered = order[along], np.ascontiguousarray(ordered[along])
+    cells, neighbours = delaunay.finite_cells(mesh, rank)
     marks.append(time.perf_counter())
     of_cell, triangles, sides = filtration.faces(cells, neighbours)
-    vertices = int((same == np.arange(len(same))).sum())
-    of_triangle, edges = filtration.edges_of(triangles, len(same), vertices + len(triangles) - len(cells) - 1)  # Euler
+    edge_count = distinct + len(triangles) - len(cells) - 1  # Euler's formula for a ball
+    of_triangle, edges = filtration.edges_of(triangles, len(order), edge_count)
     cell_values, triangle_values, edge_values = filtration.values(
         ordered, cells, triangles, sides, of_cell, edges, of_triangle, np.empty(WORKSPACE)
     )
     marks.append(time.perf_counter())
-    cell_order, triangle_order, edge_order = (reduction.increasing(v) for v in (cell_values, triangle_values, edge_values))
-    cell_rank = np.empty(len(cells), dtype=np.int32)
-    cell_rank[cell_order] = np.arange(len(cells), dtype=np.int32)
-    ended, merging, merges = reduction.components(edges, edge_order, len(same))
-    closing, filling, closes = reduction.voids(sides, triangle_order, cell_rank)
-    looping, killing = reduction.loops(of_triangle, triangle_order, closes, edge_order, merges)
+    state, parents = reduction.apparent_voids(cell_values, triangle_values, of_cell, sides)
+    apparent = reduction.apparent_loops(triangle_values, edge_values, of_triangle, state)
+    left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
+    left = left[reduction.increasing(triangle_values[left])]
+    edge_order = reduction.increasing(edge_values)
+    ended, merging, merges = reduction.components(edges, edge_order, len(order))
+    closing, filling = reduction.voids(sides, left, cell_values, parents, state)
+    looping, killing = reduction.loops(of_triangle, left, state, edge_order, merges, apparent)
     marks.append(time.perf_counter())
     square = unit * unit
+    keep = np.flatnonzero(triangle_values[killing] > edge_values[looping])
+    looping, killing = looping[keep], killing[keep]
+    keep = np.flatnonzero(cell_values[filling] > triangle_values[closing])
+    closing, filling = closing[keep], filling[keep]
     result = (
         (np.zeros(len(ended)), edge_values[merging] * square, order[ended][:, None], order[edges[merging]]),
         (edge_values[looping] * square, triangle_values[killing] * square, order[edges[looping]], order[triangles[killing]]),

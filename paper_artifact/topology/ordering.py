@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-ROUNDS = 12  # biased randomised rounds: the last holds half of the points, the one before a quarter, ...
+ROUNDS = 5  # biased randomised rounds: the last holds half of the points, the one before a quarter, ...
 HILBERT_BITS = 16  # per axis
 
 
@@ -31,11 +31,10 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
     n = len(keys)
     counts = np.zeros((6, 2048), dtype=np.int32)
     for i in range(n):
-        key = keys[i]
         for digit in range(6):
-            counts[digit, (key >> np.uint64(11 * digit)) & np.uint64(2047)] += 1
-    order = np.arange(n).astype(np.int32)
-    other = np.empty(n, dtype=np.int32)
+            counts[digit, (keys[i] >> np.uint64(11 * digit)) & np.uint64(2047)] += 1
+    order, other_order = np.arange(n).astype(np.int32), np.empty(n, dtype=np.int32)
+    here, other = keys.copy(), np.empty(n, dtype=np.uint64)
     for digit in range(6):
         count = counts[digit]
         shift = np.uint64(11 * digit)
@@ -43,15 +42,17 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
             continue
         total = 0
         for value in range(2048):
-            here = count[value]
+            size = count[value]
             count[value] = total
-            total += here
+            total += size
         for k in range(n):
-            i = order[k]
-            value = (keys[i] >> shift) & np.uint64(2047)
-            other[count[value]] = i
+            value = (here[k] >> shift) & np.uint64(2047)
+            place = count[value]
             count[value] += 1
-        order, other = other, order
+            other[place] = here[k]
+            other_order[place] = order[k]
+        here, other = other, here
+        order, other_order = other_order, order
     return order
 
 
@@ -87,11 +88,11 @@ def _hilbert(x: int, y: int, z: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def insertion_order(points: np.ndarray) -> np.ndarray:
+def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
     """The order in which to insert (n, 3) float64 points: (n,) int32. n > 0.
 
     Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over rounds that double in
-    size, and each round follows the Hilbert curve, so the next point is close to the last.
+    size, and each round follows the Hilbert curve, so the next point is close to the last. With `rounds` = 0 the plain Hilbert order.
     """
     n = len(points)
     low, extent = np.empty(3), 0.0
@@ -111,7 +112,7 @@ def insertion_order(points: np.ndarray) -> np.ndarray:
         bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         bits ^= bits >> np.uint64(31)
         level = 0
-        while level < ROUNDS and (bits >> np.uint64(level)) & np.uint64(1):
+        while level < rounds and (bits >> np.uint64(level)) & np.uint64(1):
             level += 1
-        keys[i] = np.uint64(ROUNDS - level) << np.uint64(3 * HILBERT_BITS) | np.uint64(cell)
+        keys[i] = np.uint64(rounds - level) << np.uint64(3 * HILBERT_BITS) | np.uint64(cell)
     return sort_keys(keys)

@@ -1,8 +1,10 @@
 """Persistence pairs of a filtered Delaunay triangulation over Z/2.
 
-H0 by union-find over the edges in increasing value; H2 by duality, union-find over the tetrahedra and the outside with the triangles in
-decreasing value; H1 by column reduction of what is left, the triangles that kill loops against the edges that close them (clearing:
-Chen & Kerber 2011; paper, Method). The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars.
+The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars. First the apparent pairs are taken out:
+a simplex and its earliest coface of which it is the latest face (Bauer 2021); they are most of the complex, and empty when the values
+are equal. Of what is left: H0 by union-find over the edges in increasing value; H2 by duality, union-find over the tetrahedra and the
+outside with the triangles in decreasing value; H1 by column reduction of the triangles that kill loops (clearing: Chen & Kerber 2011;
+paper, Method).
 """
 
 from __future__ import annotations
@@ -12,6 +14,14 @@ from numba import njit
 
 from paper_artifact.topology.ordering import sort_keys
 
+OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3  # a triangle: not yet paired; paired at once with a cell; with a cell; at once with an edge
+
+
+@njit(cache=True, nogil=True)
+def increasing(values: np.ndarray) -> np.ndarray:
+    """The order of (n,) non-negative float64 values, equal ones by index: (n,) int32. (Their bits sort as integers.)"""
+    return sort_keys(values.view(np.uint64))
+
 
 @njit(cache=True, nogil=True)
 def _root(parents: np.ndarray, i: int) -> int:
@@ -19,6 +29,53 @@ def _root(parents: np.ndarray, i: int) -> int:
         parents[i] = parents[parents[i]]
         i = parents[i]
     return i
+
+
+@njit(cache=True, nogil=True)
+def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray) -> tuple:
+    """Empty pairs of a triangle and a cell: (state (k,) int8 of each triangle, parents (m+1,) int32: the cell, or m for the outside,
+    that a cell so filled belongs to from then on)."""
+    m = len(cell_values)
+    state = np.zeros(len(sides), dtype=np.int8)
+    parents = np.arange(m + 1).astype(np.int32)
+    for t in range(m):
+        latest = of_cell[t, 0]
+        for i in range(1, 4):
+            f = of_cell[t, i]
+            if triangle_values[f] > triangle_values[latest] or (triangle_values[f] == triangle_values[latest] and f > latest):
+                latest = f
+        if triangle_values[latest] != cell_values[t]:
+            continue
+        other = sides[latest, 0] if sides[latest, 1] == t else sides[latest, 1]
+        if other < 0:
+            other = m
+        elif cell_values[other] < cell_values[t] or (cell_values[other] == cell_values[t] and other < t):
+            continue
+        state[latest] = FILLED
+        parents[t] = other
+    return state, parents
+
+
+@njit(cache=True, nogil=True)
+def apparent_loops(triangle_values: np.ndarray, edge_values: np.ndarray, of_triangle: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Empty pairs of an edge and a triangle: (e,) int32, the triangle or -1; those triangles' state becomes KILLS."""
+    first = np.full(len(edge_values), np.int32(-1))
+    for f in range(len(of_triangle)):
+        for i in range(3):
+            edge = of_triangle[f, i]
+            if first[edge] < 0 or triangle_values[f] < triangle_values[first[edge]]:
+                first[edge] = f
+    killer = np.full(len(edge_values), np.int32(-1))
+    for f in range(len(of_triangle)):
+        latest = of_triangle[f, 0]
+        for i in range(1, 3):
+            edge = of_triangle[f, i]
+            if edge_values[edge] > edge_values[latest] or (edge_values[edge] == edge_values[latest] and edge > latest):
+                latest = edge
+        if edge_values[latest] == triangle_values[f] and first[latest] == f:
+            killer[latest] = f
+            state[f] = KILLS
+    return killer
 
 
 @njit(cache=True, nogil=True)
@@ -43,40 +100,39 @@ def components(edges: np.ndarray, order: np.ndarray, vertex_count: int) -> tuple
 
 
 @njit(cache=True, nogil=True)
-def voids(sides: np.ndarray, order: np.ndarray, cell_rank: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """H2: (triangle (r,) that closes a void, cell (r,) that fills it, closes (k,) bool for each triangle).
+def voids(sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray) -> tuple:
+    """H2: (triangle (r,) that closes a void, cell (r,) that fills it), without the apparent pairs; those triangles become CLOSES.
 
-    sides: (k, 2) cells of each triangle, -1 outside; `order`: the triangles in increasing value; cell_rank: (m,) place of each cell in
-    increasing value. Backwards in the filtration the triangles join the cells: the void of the lower-ranked of two ends.
+    sides: (k, 2) cells of each triangle, -1 outside; `order`: the open triangles in increasing value; parents: of apparent_voids.
+    Backwards in the filtration the triangles join the cells, and the void whose last cell comes earlier ends.
     """
-    outside = len(cell_rank)
-    parents = np.arange(outside + 1).astype(np.int32)
-    tops = np.empty(outside + 1, dtype=np.int32)  # of each component's root: the rank of its highest cell
+    outside = len(cell_values)
     sizes = np.ones(outside + 1, dtype=np.int32)
-    cell_at = np.empty(outside, dtype=np.int32)
-    for t in range(outside):
-        tops[t] = cell_rank[t]
-        cell_at[cell_rank[t]] = t
-    tops[outside] = outside
-    closes = np.zeros(len(sides), dtype=np.bool_)
-    births, deaths = np.empty(outside, dtype=np.int32), np.empty(outside, dtype=np.int32)
+    tops = np.arange(outside + 1).astype(np.int32)  # of each component's root: its last cell in the filtration
+    births, deaths = np.empty(len(order), dtype=np.int32), np.empty(len(order), dtype=np.int32)
     count = 0
     for place in range(len(order) - 1, -1, -1):
         triangle = order[place]
         other = sides[triangle, 1]
-        u, v = _root(parents, sides[triangle, 0]), _root(parents, other if other >= 0 else outside)
+        if other < 0:
+            other = outside
+        u, v = _root(parents, sides[triangle, 0]), _root(parents, other)
         if u == v:
             continue
+        lower, higher = tops[u], tops[v]
+        if higher != outside:
+            x, y = cell_values[lower] if lower != outside else np.inf, cell_values[higher]
+            if lower == outside or x > y or (x == y and lower > higher):
+                lower, higher = higher, lower
         if sizes[u] < sizes[v]:
             u, v = v, u
-        lower, higher = min(tops[u], tops[v]), max(tops[u], tops[v])
         parents[v] = u
         sizes[u] += sizes[v]
         tops[u] = higher
-        closes[triangle] = True
-        births[count], deaths[count] = triangle, cell_at[lower]
+        state[triangle] = CLOSES
+        births[count], deaths[count] = triangle, lower
         count += 1
-    return births[:count], deaths[:count], closes
+    return births[:count], deaths[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -90,13 +146,22 @@ def _highest_bit(word: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def loops(
-    of_triangle: np.ndarray, triangle_order: np.ndarray, closes: np.ndarray, edge_order: np.ndarray, merges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """H1: (edge (r,) that closes a loop, triangle (r,) that fills it).
+def _grown(array: np.ndarray, used: int, size: int) -> np.ndarray:
+    larger = np.empty(size, dtype=np.int32)
+    for i in range(used):
+        larger[i] = array[i]
+    return larger
 
-    Columns are the triangles that close no void, rows the edges that merge no components (the other rows never become a pivot). A
-    column is reduced in a bit field over the rows; a reduced column is kept as a list of rows, highest first.
+
+@njit(cache=True, nogil=True)
+def loops(
+    of_triangle: np.ndarray, order: np.ndarray, state: np.ndarray, edge_order: np.ndarray, merges: np.ndarray, apparent: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """H1: (edge (r,) that closes a loop, triangle (r,) that fills it), without the apparent pairs.
+
+    order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a void are left out.
+    Rows are the edges that merge no components (the others never become a pivot). A column is reduced in a bit field over the rows;
+    a reduced column is kept as a list of rows, except for the triangles of `apparent`, which are reduced as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
     edge_at = np.empty(len(edge_order), dtype=np.int32)
@@ -106,59 +171,48 @@ def loops(
             row_of[edge] = rows
             edge_at[rows] = edge
             rows += 1
-    killer = np.full(rows, np.int32(-1))  # triangle whose reduced column has this highest row
-    starts, ends = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
-    kept = np.empty(8 * rows + 1024, dtype=np.int32)
-    used = 0
+    columns = np.full(rows, np.int32(-1))  # of a pivot row: its place in starts, births, deaths
+    starts = np.empty(rows + 1, dtype=np.int64)
+    births, deaths = np.empty(rows, dtype=np.int32), np.empty(rows, dtype=np.int32)
+    kept = np.empty(4 * rows + 1024, dtype=np.int32)
+    count = used = 0
+    starts[0] = 0
     bits = np.zeros(rows // 64 + 1, dtype=np.uint64)
     one = np.uint64(1)
-    for triangle in triangle_order:
-        if closes[triangle]:
+    for triangle in order:
+        if state[triangle] == CLOSES:
             continue
         pivot, least = -1, rows
-        column = np.int32(0)
-        for i in range(3):
-            row = row_of[of_triangle[triangle, i]]
-            if row >= 0:
-                kept[used + column] = row
-                column += 1
-                pivot, least = max(pivot, row), min(least, row)
-        if killer[pivot] >= 0:
-            for i in range(column):
-                bits[kept[used + i] >> 6] ^= one << np.uint64(kept[used + i] & 63)
-            while killer[pivot] >= 0:
-                for i in range(starts[pivot], ends[pivot]):
+        addend = triangle  # a triangle's own column, or -1: the kept column of the pivot
+        while True:
+            if addend >= 0:
+                for i in range(3):
+                    row = row_of[of_triangle[addend, i]]
+                    if row >= 0:
+                        bits[row >> 6] ^= one << np.uint64(row & 63)
+                        pivot, least = max(pivot, row), min(least, row)
+            else:
+                for i in range(starts[columns[pivot]], starts[columns[pivot] + 1]):
                     row = kept[i]
                     bits[row >> 6] ^= one << np.uint64(row & 63)
                     least = min(least, row)
-                word = pivot >> 6
-                while bits[word] == 0:
-                    word -= 1
-                pivot = 64 * word + _highest_bit(bits[word])
-            if used + pivot + 64 > len(kept):
-                larger = np.empty(2 * len(kept) + rows + 64, dtype=np.int32)
-                for i in range(used):
-                    larger[i] = kept[i]
-                kept = larger
-            column = 0
-            for word in range(pivot >> 6, (least >> 6) - 1, -1):
-                while bits[word] != 0:
-                    bit = _highest_bit(bits[word])
-                    bits[word] ^= one << np.uint64(bit)
-                    kept[used + column] = 64 * word + bit
-                    column += 1
-        killer[pivot] = triangle
-        starts[pivot], ends[pivot] = used, used + column
-        used += column
-        if used + 64 > len(kept):
-            larger = np.empty(2 * len(kept) + 64, dtype=np.int32)
-            for i in range(used):
-                larger[i] = kept[i]
-            kept = larger
-    return edge_at[:rows], killer
-
-
-@njit(cache=True, nogil=True)
-def increasing(values: np.ndarray) -> np.ndarray:
-    """The order of (n,) non-negative float64 values, equal ones by index: (n,) int32. (Their bits sort as integers.)"""
-    return sort_keys(values.view(np.uint64))
+            word = pivot >> 6
+            while bits[word] == 0:
+                word -= 1
+            pivot = 64 * word + _highest_bit(bits[word])
+            addend = apparent[edge_at[pivot]]
+            if addend < 0 and columns[pivot] < 0:
+                break
+        if used + pivot + 2 > len(kept):
+            kept = _grown(kept, used, 2 * len(kept) + rows)
+        for word in range(pivot >> 6, (least >> 6) - 1, -1):
+            while bits[word] != 0:
+                bit = _highest_bit(bits[word])
+                bits[word] ^= one << np.uint64(bit)
+                kept[used] = 64 * word + bit
+                used += 1
+        births[count], deaths[count] = edge_at[pivot], triangle
+        columns[pivot] = count
+        count += 1
+        starts[count] = used
+    return births[:count], deaths[:count]
