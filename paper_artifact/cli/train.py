@@ -53,6 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     changes = parse_changes(arguments.changes)
     kinds = {field.name: field.type for field in fields(RunConfig)}
     for name, value in changes.items():
+        if name in ("shape", "condition", "seed", "steps"):
+            raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
         if kinds.get(name) == "float" and isinstance(value, int):
             changes[name] = float(value)
         elif kinds.get(name) == "int" and not isinstance(value, int) or kinds.get(name) == "float" and not isinstance(value, float):

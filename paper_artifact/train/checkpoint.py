@@ -54,13 +54,13 @@ def read_checkpoint(path: Path, config: RunConfig) -> Checkpoint | None:
     if not path.is_file():
         return None
     try:
-        state = torch.load(path, weights_only=True)
-        tensors, step = state["soup"], int(state["step"])
+        state = torch.load(path, weights_only=True, map_location="cpu")
         saved_config, version = state["config"], state["format"]
+        tensors = state["soup"]
+        saved = Checkpoint(int(state["step"]), Soup(tensors[0], tensors[1], tensors[2], tuple(tensors[3:])).trainable(),
+                           *(state[name] for name in ("shading_optimiser", "losses", "dumps", "resamplings", "seconds", "term")))
     except Exception as error:  # torch.load raises many kinds for a damaged file
         raise InputError(f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew") from error
     if version != FORMAT or saved_config != repr(sorted(asdict(config).items())):
-        raise InputError(f"checkpoint {path} belongs to another configuration; delete it or choose another --checkpoint")
-    soup = Soup(tensors[0], tensors[1], tensors[2], tuple(tensors[3:])).trainable()
-    return Checkpoint(step, soup, state["shading_optimiser"], state["losses"], state["dumps"], state["resamplings"],
-                      state["seconds"], state["term"])
+        raise InputError(f"checkpoint {path} belongs to another configuration; delete it to start the run anew")
+    return saved

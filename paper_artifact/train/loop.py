@@ -124,16 +124,19 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
                 term.refresh_if_due(step - 1, soup.vertices, torch.sigmoid(soup.opacity.detach()), resampled)
                 extra = term.value(step - 1, soup.vertices, lambda: float(soup.vertices.grad.norm()))
                 if extra is not None:
+                    if not torch.isfinite(extra):
+                        raise TrainingError(f"the added loss term of step {step} is {extra.item()}; the term's log says what it met")
                     extra.backward()
         with _timed(seconds, "optimiser"):
             for optimiser, _ in optimisers:
                 optimiser.step()
             shading.step()
+            # The raster skips triangles with such corners, so the loss alone would never tell.
+            if not torch.isfinite(soup.vertices.detach()).all():
+                raise TrainingError(f"vertices are not finite after step {step}; lower vertex_lr ({config.vertex_lr}) and run again")
         resampled = resampler.due(step, config.steps)
         if resampled:
             with _timed(seconds, "resample"):
-                if not torch.isfinite(soup.vertices).all():
-                    raise TrainingError(f"vertices are not finite at step {step}; lower vertex_lr ({config.vertex_lr}) and run again")
                 soup, report = resampler.resample(backend.to_host(soup), scene.world_to_clip[scene.train], height, width, config.seed,
                                                   step, config.steps)
                 soup = backend.to_device(soup)
@@ -150,7 +153,8 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
             progress(step, f"loss {loss:.4f}, {len(soup)} triangles")
     result.soup = backend.to_host(soup)
     if not all(torch.isfinite(tensor).all() for tensor in (result.soup.vertices, result.soup.features, result.soup.opacity)):
-        raise TrainingError(f"the trained soup is not finite; lower vertex_lr ({config.vertex_lr}) and run again")
+        raise TrainingError(f"features or opacity are not finite after step {config.steps}; lower feature_lr ({config.feature_lr}) or "
+                            f"opacity_lr ({config.opacity_lr}) and run again")
     result.seconds = dict(seconds)
     return result
 
