@@ -80,7 +80,8 @@ def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
 
 def test_plan_value_gradcheck_with_every_kind_of_term():
     positions = torch.tensor(np.random.default_rng(0).random((9, 3)), requires_grad=True)
-    plan = Plan((Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True), Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
+    plan = Plan((Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True),
+                 Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
                  Term(2, "recruited", 0.2, 0.3, (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), True, 2.0),
                  Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.3, 0.9), False)), 9, {})
     assert torch.autograd.gradcheck(plan.value, (positions,), eps=1e-7, atol=1e-6)
@@ -188,9 +189,11 @@ def non_gabriel(monkeypatch):
     """Edge 0-1 has point 2 inside its smallest sphere, so it enters with triangle 0-1-2; a far triangle kills the loop."""
     cloud = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0.5, 0], [9, 0, 0], [9, 6, 0], [13, 3, 1]])
     birth = 1.25  # circumradius of 0-1-2: sides 2, sqrt(1.25), sqrt(1.25), area .5
-    death = float(np.linalg.norm(np.linalg.lstsq(cloud[4:] - cloud[3], ((cloud[4:] - cloud[3]) ** 2).sum(axis=1) / 2, rcond=None)[0]))
+    edges = cloud[4:] - cloud[3]
+    death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
-    monkeypatch.setattr("paper_artifact.topology.persistence.alpha_persistence", lambda points, method="fast": (None, pairs, None))
+    monkeypatch.setattr("paper_artifact.topology.persistence.alpha_persistence",
+                        lambda points, method="fast": (None, pairs, None))
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 
 
@@ -266,7 +269,8 @@ def test_bundle_json_round_trip_and_damage(tmp_path, void):
     again = load_bundle(path)
     assert again.to_json() == bundle.to_json()
     value = json.loads(path.read_text())
-    for change in ({"format": "other"}, {"floor": 9.0}, {"bars": [[], []]}, {"samples": None}, {"dimensions": []}, {"diagonal": 0.0}):
+    for change in ({"format": "other"}, {"floor": 9.0}, {"bars": [[], []]}, {"samples": None}, {"dimensions": []},
+                   {"diagonal": 0.0}):
         with pytest.raises(InputError):
             bundle_from_json({**value, **change})
     path.write_text("{")

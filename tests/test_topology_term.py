@@ -1,4 +1,4 @@
-"""The training-side term: schedule, calibration, refreshes, log, conditions, the repulsion control, independence of the package."""
+"""The training-side term: schedule, calibration, refreshes, log, conditions, the repulsion control, the package alone."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ M = 600
 
 def octahedron_soup(refinements: int = 2) -> np.ndarray:
     """The unit sphere as a soup (T,3,3): an octahedron refined and pushed out."""
-    corners = np.array([[sx, 0, 0] for sx in (1, -1)] + [[0, sy, 0] for sy in (1, -1)] + [[0, 0, sz] for sz in (1, -1)], dtype=float)
+    corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
     soup = np.array([[corners[a], corners[b], corners[c]] for a in (0, 1) for b in (2, 3) for c in (4, 5)])
     for _ in range(refinements):
         middle = [(soup[:, i] + soup[:, j]) / 2 for i, j in ((0, 1), (1, 2), (2, 0))]
-        soup = np.concatenate([np.stack(t, axis=1) for t in ((soup[:, 0], middle[0], middle[2]), (middle[0], soup[:, 1], middle[1]),
-                                                             (middle[2], middle[1], soup[:, 2]), tuple(middle))])
+        children = ((soup[:, 0], middle[0], middle[2]), (middle[0], soup[:, 1], middle[1]),
+                    (middle[2], middle[1], soup[:, 2]), tuple(middle))
+        soup = np.concatenate([np.stack(child, axis=1) for child in children])
         soup = soup / np.linalg.norm(soup, axis=2, keepdims=True)
     return soup
 
@@ -119,7 +120,8 @@ def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
     assert report["targets"][0]["target"] == bundle.bars[2][0].tolist() and report["targets"][0]["kind"] == "matched"
     assert report["matched"] == 1 and report["gabriel_failures"] == 0
     json.dumps(term.log, allow_nan=False)
-    errors = [abs(e["dimensions"]["2"]["targets"][0]["live"][1] - bundle.bars[2][0, 1]) for e in term.log if e["event"] == "refresh"]
+    refreshes = [entry for entry in term.log if entry["event"] == "refresh"]
+    errors = [abs(entry["dimensions"]["2"]["targets"][0]["live"][1] - bundle.bars[2][0, 1]) for entry in refreshes]
     assert errors[-1] < errors[0]  # the pull works through the soup's vertices
 
 

@@ -33,7 +33,8 @@ PER_SEED = {
 
 
 def rows(shape: str, chamfer: dict | None = None, **arms: tuple) -> list[dict]:
-    return [{"shape": shape, "condition": condition, "seed": seed, "tail": tail, **({"chamfer": chamfer[condition]} if chamfer else {})}
+    return [{"shape": shape, "condition": condition, "seed": seed, "tail": tail}
+            | ({"chamfer": chamfer[condition]} if chamfer else {})
             for condition, tails in arms.items() for seed, tail in enumerate(tails)]
 
 
@@ -129,14 +130,16 @@ def test_rows_of_records():
               "tails": {"bottleneck": [.001, .2, .3], "counts": [1, 0, 2], "chamfer": .005},
               "mesh": {"dimension": 0, "betti": [2, 0, 2]}, "bundle": {"bars": [[[0, .1]], [], []]}}
     assert rows_of([record, record | {"status": "failed"}, record | {"tails": {}}]) == [
-        {"shape": "two_spheres", "condition": "C1", "seed": 2, "dimension": 0, "tail": .001, "chamfer": .005, "count": 1, "expected": 1}]
+        {"shape": "two_spheres", "condition": "C1", "seed": 2, "dimension": 0, "tail": .001, "chamfer": .005,
+         "count": 1, "expected": 1}]
     assert rows_of([record | {"mesh": {"dimension": 0, "betti": None}}])[0]["expected"] == 1
 
 
 def test_transcribed_tables_give_the_same_verdicts():
     """The committed transcription of the paper's per-seed tables, through the same rule."""
     judged = verdict(published_rows(pd.concat([published("S7"), published("S10")])))
-    assert {shape: each.outcome for shape, each in judged.items()} == {s: v[0] for s, v in PER_SEED.items() if s != "double_torus"}
+    expected = {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
+    assert {shape: each.outcome for shape, each in judged.items()} == expected
     for shape, each in judged.items():
         assert each.arms["C1"].tails == PER_SEED[shape][2] and each.arms["C2"].tails == PER_SEED[shape][3]
 

@@ -19,8 +19,8 @@ def published_rows(published: pd.DataFrame) -> list[dict]:
 def arm_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame:
     """Return one line per shape and condition: dimension, seeds, mean, sd (n - 1), ratio (C0 / this), low, high, chamfer, counts.
 
-    published: tables of `paper_artifact.report.published` (several concatenated will do); adds "published mean", "published sd" and
-    "published ratio" (C0 / this, of the published means), from the printed means where there are any, else from the seeds.
+    published: tables of `paper_artifact.report.published` (several concatenated will do); adds "published mean", "published sd"
+    and "published ratio" (C0 / this, of the published means), from the printed means where there are any, else from the seeds.
     """
     lines = []
     for shape, judged in verdict(rows).items():
@@ -90,7 +90,8 @@ def _published_arms(published: pd.DataFrame) -> pd.DataFrame:
     tails = _published_tails(published)
     printed = tails[tails["seed"].isna()].drop_duplicates(["shape", "condition"])
     printed = printed.set_index(["shape", "condition"])[["value", "sd"]].rename(columns={"value": "mean"})
-    seeds = tails[tails["seed"].notna()].groupby(["shape", "condition"])["value"].agg(["mean", "std"]).rename(columns={"std": "sd"})
+    seeds = tails[tails["seed"].notna()].groupby(["shape", "condition"])["value"].agg(["mean", "std"])
+    seeds = seeds.rename(columns={"std": "sd"})
     arms = printed.combine_first(seeds).reset_index()
     baseline: Mapping = arms[arms["condition"] == "C0"].set_index("shape")["mean"]
     arms["ratio"] = arms["shape"].map(baseline) / arms["mean"]

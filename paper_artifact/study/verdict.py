@@ -1,11 +1,12 @@
 """The study's verdict rule and its tables, as pure functions of plain rows (paper §4, Protocol: metrics and verdict).
 
-A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the discriminating dimension, mean of
-the last three dumps, radius / diagonal), and where known "dimension", "chamfer", "count" (significant bars at the end, in that
-dimension) and "expected" (the target's count). A list of rows or a pandas DataFrame will do; None and NaN mean unknown.
+A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the discriminating
+dimension, mean of the last three dumps, radius / diagonal), and where known "dimension", "chamfer", "count" (significant bars
+at the end, in that dimension) and "expected" (the target's count). A list of rows or a pandas DataFrame will do; None
+and NaN mean unknown.
 
-The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean, disjoint per-seed ranges) at
-Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the sample standard deviation (n - 1). Welch's
+The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean, disjoint per-seed ranges)
+at Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the sample standard deviation (n - 1). Welch's
 sigma is given only where both arms ran at least five seeds. Counts (phantoms) are reported, they do not decide.
 """
 
@@ -97,8 +98,8 @@ def rows_of(records: Iterable[Mapping]) -> list[dict]:
             expected = mesh["betti"][dimension] - (dimension == 0)
         elif record.get("bundle"):
             expected = len(record["bundle"]["bars"][dimension])
-        rows.append({"shape": record["config"]["shape"], "condition": record["config"]["condition"], "seed": record["config"]["seed"],
-                     "dimension": dimension, "tail": tails["bottleneck"][dimension], "chamfer": tails.get("chamfer"),
+        rows.append({**{name: record["config"][name] for name in ("shape", "condition", "seed")}, "dimension": dimension,
+                     "tail": tails["bottleneck"][dimension], "chamfer": tails.get("chamfer"),
                      "count": tails["counts"][dimension] if tails.get("counts") else None, "expected": expected})
     return rows
 
@@ -106,14 +107,14 @@ def rows_of(records: Iterable[Mapping]) -> list[dict]:
 def verdict(rows: Rows, controls: Sequence[str] = CONTROLS) -> dict[str, Verdict]:
     """Return the verdict of every shape of `rows`, in order of appearance; `controls` without rows are not asked for.
 
-    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs twice in an arm, and for a
-    shape with two dimensions.
+    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs twice in an arm,
+    and for a shape with two dimensions.
     """
     return {shape: _judge(shape, group, controls) for shape, group in _by_shape(rows).items()}
 
 
 def welch_sigma(a: Sequence[float], b: Sequence[float]) -> float | None:
-    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds each or without any variance."""
+    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds or without variance."""
     if min(len(a), len(b)) < WELCH_SEEDS:
         return None
     variance = np.var(a, ddof=1) / len(a) + np.var(b, ddof=1) / len(b)
@@ -127,7 +128,8 @@ def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> 
     """
     absent = [name for name in members if name not in verdicts or verdicts[name].ratio is None]
     if absent or len(members) < 2:
-        raise InputError(f"a group needs at least two shapes with C0 and C1 each; missing: {', '.join(absent) or 'a second member'}")
+        raise InputError("a group needs at least two shapes with C0 and C1 each; "
+                         f"missing: {', '.join(absent) or 'a second member'}")
     ratios = [verdicts[name].ratio for name in members]
     return float(np.mean(ratios)), float(np.std(ratios, ddof=1)), sum(verdicts[name].passed for name in members)
 
@@ -183,7 +185,8 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
         if condition in expected and None not in arm.counts:
             phantoms[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n > expected[condition])
             missing[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n < expected[condition])
-    common = {"shape": shape, "dimension": dimensions.pop() if dimensions else None, "arms": arms, "phantoms": phantoms, "missing": missing}
+    common = {"shape": shape, "dimension": dimensions.pop() if dimensions else None, "arms": arms,
+              "phantoms": phantoms, "missing": missing}
     present = [name for name in controls if name in arms]
     absent = [name for name in (BASELINE, LOSS) if name not in arms] + ([] if present else [controls[0]])
     if absent:

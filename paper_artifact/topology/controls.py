@@ -1,9 +1,9 @@
 """The norm-matched control C2: a short-range repulsion of the same frozen samples, with no topological information.
 
-Paper §3.5 names "a short-range repulsion on the same frozen samples, calibrated with the same ρ (C2g: a gentler radius)" and gives
-no formula. Ours: E = (1/M) Σ over sample pairs closer than h of (1 - r/h)², distances divided by the diagonal, h a multiple of
-the target's median spacing r_med(M). Default h = 4 r_med: about eleven neighbours of a uniform sample, and below the floor
-of 6 r_med, hence short-range for every significant feature; C2g halves it (about three neighbours).
+Paper §3.5 names "a short-range repulsion on the same frozen samples, calibrated with the same ρ (C2g: a gentler radius)" and
+gives no formula. Ours: E = (1/M) Σ over sample pairs closer than h of (1 - r/h)², distances divided by the diagonal, h a
+multiple of the target's median spacing r_med(M). Default h = 4 r_med: about eleven neighbours of a uniform sample, and below the
+floor of 6 r_med, hence short-range for every significant feature; C2g halves it (about three neighbours).
 """
 
 from __future__ import annotations

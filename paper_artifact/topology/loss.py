@@ -86,7 +86,7 @@ def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
 
 
 def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
-    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of standard deviation `noise`, a function of (seed, counter)."""
+    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of (seed, counter)."""
     if noise == 0:
         return cloud
     return cloud + noise * stream(seed, "topology-noise", counter).standard_normal(cloud.shape)

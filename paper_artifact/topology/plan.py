@@ -3,9 +3,10 @@
 Everything is divided by the bundle's diagonal (births, deaths, targets, floor: radius / diagonal). A term is one bar of the live
 cloud with its birth and death simplex and what pulls it: a target bar (matched or recruited) or the diagonal (paper §3.3).
 
-Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target at the same M ("locked
-for all live evaluations", paper §3.1), so the objective is one function during a run and a soup cannot change what counts by
-changing its own spacing. `floor_source="live"` takes the live cloud's own 6 r_med instead; both are reported at every refresh.
+Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target at the same M
+("locked for all live evaluations", paper §3.1), so the objective is one function during a run and a soup cannot change what
+counts by changing its own spacing. `floor_source="live"` takes the live cloud's own 6 r_med instead; both are reported at
+every refresh.
 """
 
 from __future__ import annotations
@@ -259,4 +260,5 @@ def _report(claims, bars, target, count, failures) -> dict:
         row, kind = owner.get(j, (None, "unreached"))
         targets.append({"target": bar.tolist(), "live": None if row is None else bars[row].tolist(), "kind": kind})
     counts = {kind: sum(each == kind for _, _, each in claims) for kind in KINDS}
-    return {"significant": count, **counts, "unreached": len(target) - len(owner), "gabriel_failures": failures, "targets": targets}
+    return {"significant": count, **counts, "unreached": len(target) - len(owner), "gabriel_failures": failures,
+            "targets": targets}

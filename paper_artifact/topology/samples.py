@@ -32,7 +32,7 @@ class FrozenSamples:
         return len(self.faces)
 
     def positions(self, vertices: Tensor, indices: Tensor | None = None) -> Tensor:
-        """Return the samples' positions (M,3) float64 on the CPU, world units, differentiable by `vertices` (T,3,3) on any device.
+        """Return the samples' positions (M,3) float64 on the CPU, world units, differentiable by `vertices` (T,3,3), any device.
 
         indices (m,) int64: only these samples (a frozen-plan step needs a handful). Raises InputError when the soup
         has another number of triangles than the one sampled (it was resampled: refresh first).
@@ -47,7 +47,8 @@ class FrozenSamples:
 
     def joined(self, other: FrozenSamples) -> FrozenSamples:
         """Return these samples followed by `other`'s; both of one soup."""
-        return FrozenSamples(torch.cat([self.faces, other.faces]), torch.cat([self.barycentrics, other.barycentrics]), self.triangles)
+        return FrozenSamples(torch.cat([self.faces, other.faces]), torch.cat([self.barycentrics, other.barycentrics]),
+                             self.triangles)
 
 
 def draw_samples(vertices: Tensor | np.ndarray, opacity: Tensor | np.ndarray | None, count: int,

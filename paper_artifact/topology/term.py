@@ -75,7 +75,7 @@ class TopologyTerm:
         return True
 
     def value(self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]) -> Tensor | None:
-        """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), differentiable by `vertices` (T,3,3), or None while inactive.
+        """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), differentiable by `vertices` (T,3,3); None while inactive.
 
         photo_gradient_norm: ‖∇V L_photo‖ of this step, or a function that computes it; used once, at calibration. A zero or
         non-finite norm there is a no-op: None is returned, the log says why, and the next step tries again.
@@ -107,7 +107,8 @@ class TopologyTerm:
         self.lambda_peak = peak_weight(self.condition.rho, photo_norm, topo_norm)
         if self.lambda_peak is None:
             which = "topology" if not topo_norm > 0 or not np.isfinite(topo_norm) else "photometric"
-            self.log.append({"event": "no-op", "step": step, "reason": f"the {which} gradient is zero or not finite, no weight can be set"})
+            self.log.append({"event": "no-op", "step": step,
+                             "reason": f"the {which} gradient is zero or not finite, no weight can be set"})
             return False
         self.log.append({"event": "lambda", "step": step, "lambda_peak": self.lambda_peak, "rho": self.condition.rho,
                          "photo_norm": photo_norm, "topo_norm": topo_norm})
