@@ -66,10 +66,10 @@ def check_points(points: np.ndarray) -> np.ndarray:
         points = np.ascontiguousarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"the points are not numbers ({error}); give an (n, 3) array") from error
-    if points.ndim != 2 or points.shape[1] != 3:
-        if points.size:
-            raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
+    if points.shape == (0,):
         points = points.reshape(0, 3)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise InputError(f"point {row} has a coordinate that is not finite; remove such points before computing persistence")

@@ -1,0 +1,363 @@
+"""alpha_persistence: the fast path against gudhi, exact predicates against rational arithmetic, degenerate and bad input."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import gudhi
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+
+from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
+from paper_artifact.topology import delaunay, ordering, predicates
+from paper_artifact.topology.expansions import WORKSPACE, evaluate, exact_sign
+from paper_artifact.topology.persistence import Pairs, alpha_persistence
+
+WS = np.empty(WORKSPACE)
+
+
+def draw(name: str) -> np.random.Generator:
+    return stream(0, f"test persistence {name}")
+
+
+def sphere(n: int) -> np.ndarray:
+    x = draw("sphere").normal(size=(n, 3))
+    return x / np.linalg.norm(x, axis=1)[:, None]
+
+
+def torus(n: int) -> np.ndarray:
+    a, b = draw("torus").random((2, n)) * 2 * np.pi
+    return np.column_stack([(1 + 0.4 * np.cos(b)) * np.cos(a), (1 + 0.4 * np.cos(b)) * np.sin(a), 0.4 * np.sin(b)])
+
+
+def cube_surface(n: int) -> np.ndarray:
+    rng = draw("cube")
+    points = rng.random((n, 3))
+    points[np.arange(n), rng.integers(0, 3, n)] = rng.integers(0, 2, n)
+    return points
+
+
+def soup(n: int, triangles: int, size: float = 0.15) -> np.ndarray:
+    """n samples on `triangles` random triangles near the unit sphere: many samples in one plane."""
+    rng = draw("soup")
+    corners = sphere(triangles)[:, None] + rng.normal(size=(triangles, 3, 3)) * size
+    return np.einsum("nk,nkd->nd", rng.dirichlet([1, 1, 1], n), corners[rng.integers(0, triangles, n)])
+
+
+def lattice(k: int, jitter: float = 0.0) -> np.ndarray:
+    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, k)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid + jitter * draw("lattice").normal(size=grid.shape)
+
+
+def cylinder() -> np.ndarray:
+    angle = 2 * np.pi * np.arange(48) / 48
+    return np.concatenate([np.column_stack([np.cos(angle), np.sin(angle), np.full(48, z)]) for z in (0.0, 0.5, 1.0)])
+
+
+def outliers() -> np.ndarray:
+    x = draw("outliers").normal(size=(420, 3))
+    return np.concatenate([x[:200] * 1e-3, x[200:400] * 1e-3 + 5, x[400:] * 100])
+
+
+def duplicates() -> np.ndarray:
+    rng = draw("duplicates")
+    return np.repeat(rng.random((200, 3)), 3, axis=0)[rng.permutation(600)]
+
+
+CLOUDS = {
+    "uniform": lambda: draw("uniform").random((1000, 3)),
+    "sphere": lambda: sphere(500),
+    "torus": lambda: torus(1000),
+    "torus float32": lambda: torus(1000).astype(np.float32),
+    "torus far away": lambda: torus(400) + 1e6,
+    "cube surface": lambda: cube_surface(1000),
+    "soup of 300": lambda: soup(2048, 300),
+    "soup of 300 float32": lambda: soup(2048, 300).astype(np.float32),
+    "soup of 5": lambda: soup(600, 5, 0.5),
+    "soup of 2": lambda: soup(300, 2, 0.5),
+    "one triangle": lambda: soup(200, 1, 0.5),
+    "lattice": lambda: lattice(7),
+    "integer lattice": lambda: np.round(6 * lattice(7)),
+    "lattice jitter 1e-2": lambda: lattice(7, 1e-2),
+    "lattice jitter 1e-6": lambda: lattice(7, 1e-6),
+    "lattice jitter 1e-10": lambda: lattice(7, 1e-10),
+    "icosphere": lambda: np.array(trimesh.creation.icosphere(2).vertices),
+    "uv sphere": lambda: np.array(trimesh.creation.uv_sphere(count=[12, 12]).vertices),
+    "cylinder": cylinder,
+    "outliers": outliers,
+    "duplicates": duplicates,
+    "coplanar": lambda: np.column_stack([draw("plane").random((150, 2)), np.full(150, 0.25)]),
+    "tilted plane": lambda: draw("tilted").random((150, 2)) @ np.array([[1.0, 0.3, -0.2], [0.1, 0.7, 0.9]]),
+    "collinear": lambda: np.outer(np.arange(40.0), [1.0, 2.0, 3.0]),
+    "one point many times": lambda: np.ones((30, 3)),
+    "tiny unit": lambda: torus(300) * 1e-30,
+    "huge unit": lambda: torus(300) * 1e30,
+    "subnormal coordinates": lambda: np.where(cube_surface(200) == 0.0, 5e-324, cube_surface(200)),
+}
+
+
+def bars(diagram: np.ndarray, cut: float) -> np.ndarray:
+    """Births and deaths, each sorted, of the bars longer than `cut`."""
+    long = diagram[diagram[:, 1] - diagram[:, 0] > cut]
+    return np.sort(long, axis=0)
+
+
+def exact_diagrams(points: np.ndarray) -> list[np.ndarray]:
+    """gudhi at precision `exact`: `safe` evaluates the radii of near-flat tetrahedra to 1e-5 only."""
+    tree = gudhi.AlphaComplex(points=points, precision="exact").create_simplex_tree()
+    tree.compute_persistence(homology_coeff_field=2)
+    intervals = [tree.persistence_intervals_in_dimension(d).reshape(-1, 2) for d in range(3)]
+    return [np.sqrt(i[np.isfinite(i[:, 1])]) for i in intervals]
+
+
+def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
+    """The largest difference of two diagrams' bars longer than 1e-8 of the scale, or of a bar near that length to the diagonal."""
+    # a cut in the middle of a gap between bar lengths, so that rounding cannot move a bar across it
+    lengths = np.sort(np.concatenate([ours[:, 1] - ours[:, 0], theirs[:, 1] - theirs[:, 0], [1e-9 * scale, 1e-8 * scale]]))
+    window = lengths[(lengths >= 1e-9 * scale) & (lengths <= 1e-8 * scale)]
+    widest = int(np.argmax(np.diff(window)))
+    cut = (window[widest] + window[widest + 1]) / 2
+    a, b = bars(ours, cut), bars(theirs, cut)
+    assert len(a) == len(b)
+    return float(np.abs(a - b).max(initial=0.0))
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+def test_fast_equals_gudhi(name):
+    points = np.asarray(CLOUDS[name](), dtype=np.float64)
+    scale = float(np.ptp(points, axis=0).max()) or 1.0
+    reference = exact_diagrams(points) if "jitter" in name else [p.diagram for p in alpha_persistence(points, "gudhi")]
+    for ours, theirs in zip(alpha_persistence(points), reference):
+        assert gap(ours.diagram, theirs, scale) < 1e-9 * scale
+
+
+@pytest.mark.parametrize("n", range(11))
+@pytest.mark.parametrize("kind", ["generic", "integer"])
+def test_few_points(n, kind):
+    rng = draw(f"few {kind} {n}")
+    points = rng.random((n, 3)) if kind == "generic" else rng.integers(0, 2, (n, 3)).astype(float)
+    for ours, theirs in zip(alpha_persistence(points), alpha_persistence(points, "gudhi")):
+        assert gap(ours.diagram, theirs.diagram, 1.0) < 1e-9
+
+
+def test_small_counts_have_the_stated_answer():
+    points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    assert [len(p) for p in alpha_persistence(points[:0])] == [0, 0, 0]
+    assert [len(p) for p in alpha_persistence(points[:1])] == [0, 0, 0]
+    two = alpha_persistence(points[:2])
+    assert [len(p) for p in two] == [1, 0, 0]
+    assert two[0].diagram.tolist() == [[0.0, 1.0]]
+    assert two[0].death_simplices.tolist() == [[0, 1]]
+    assert [len(p) for p in alpha_persistence(points)] == [2, 0, 0]
+
+
+def test_twenty_thousand_points():
+    points = torus(20000) + 0.01 * draw("noise").normal(size=(20000, 3))
+    ours = alpha_persistence(points)
+    assert len(ours[0]) == 19999
+    for dimension, theirs in enumerate(alpha_persistence(points, "gudhi")):
+        assert gap(ours[dimension].diagram, theirs.diagram, 1.0) < 1e-9
+
+
+@settings(max_examples=120, deadline=None)
+@given(st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=0, max_size=24))
+def test_degenerate_integer_clouds(rows):
+    points = np.array(rows, dtype=float).reshape(-1, 3)
+    for ours, theirs in zip(alpha_persistence(points), alpha_persistence(points, "gudhi")):
+        assert gap(ours.diagram, theirs.diagram, 1.0) < 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 1)), min_size=5, max_size=20), st.integers(30, 54))
+def test_nearly_degenerate_clouds(rows, exponent):
+    points = np.array(rows, dtype=float)
+    points += draw("nearly").integers(-1, 2, points.shape) * 2.0**-exponent
+    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points)):
+        assert gap(ours.diagram, theirs, 1.0) < 1e-9
+
+
+def circumradius(points: np.ndarray, simplices: np.ndarray) -> np.ndarray:
+    """Radii of the smallest circumspheres of (k, d+1) simplices, by the least-squares equations of the centre."""
+    base = points[simplices[:, 0]]
+    edges = points[simplices[:, 1:]] - base[:, None]
+    right = 0.5 * (edges**2).sum(axis=2)
+    gram = edges @ edges.transpose(0, 2, 1)
+    weights = np.linalg.solve(gram, right[..., None])
+    return np.linalg.norm((edges.transpose(0, 2, 1) @ weights)[..., 0], axis=1)
+
+
+@pytest.mark.parametrize("name", ["uniform", "torus", "soup of 300"])
+def test_pairs_name_the_simplices_that_set_the_bars(name):
+    points = CLOUDS[name]()
+    for dimension, pairs in enumerate(alpha_persistence(points)):
+        assert pairs.birth_simplices.shape == (len(pairs), dimension + 1) and pairs.birth_simplices.dtype == np.int64
+        assert pairs.death_simplices.shape == (len(pairs), dimension + 2) and pairs.death_simplices.dtype == np.int64
+        assert (np.diff(pairs.birth_simplices, axis=1) > 0).all() and (np.diff(pairs.death_simplices, axis=1) > 0).all()
+        assert len(np.unique(pairs.death_simplices, axis=0)) == len(pairs)  # a matching
+        assert len(np.unique(pairs.birth_simplices, axis=0)) == len(pairs)
+        long = pairs.deaths - pairs.births > 1e-6
+        if dimension > 0:
+            np.testing.assert_allclose(circumradius(points, pairs.birth_simplices[long]), pairs.births[long], atol=1e-9)
+        np.testing.assert_allclose(circumradius(points, pairs.death_simplices[long]), pairs.deaths[long], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["uniform", "torus"])
+def test_pairs_equal_gudhis_on_generic_clouds(name):
+    points = CLOUDS[name]()
+    for dimension, (ours, theirs) in enumerate(zip(alpha_persistence(points), alpha_persistence(points, "gudhi"))):
+        if dimension == 0:  # which of two vertices of equal age dies is a convention
+            assert {tuple(r) for r in ours.death_simplices} == {tuple(r) for r in theirs.death_simplices}
+            continue
+        rows = [{(tuple(b), tuple(d)) for b, d in zip(p.birth_simplices, p.death_simplices)} for p in (ours, theirs)]
+        assert rows[0] == rows[1]
+
+
+def test_order_of_points_does_not_matter():
+    points = CLOUDS["soup of 5"]()
+    shuffled = points[draw("shuffle").permutation(len(points))]
+    for one, other in zip(alpha_persistence(points), alpha_persistence(shuffled)):
+        assert gap(one.diagram, other.diagram, 1.0) < 1e-9
+
+
+def test_input_is_not_changed_and_may_be_read_only():
+    points = CLOUDS["torus"]()
+    copy = points.copy()
+    points.setflags(write=False)
+    alpha_persistence(points)
+    assert (points == copy).all()
+
+
+@pytest.mark.parametrize("method", ["fast", "gudhi"])
+@pytest.mark.parametrize(
+    "points, message",
+    [
+        (np.full((5, 3), np.nan), "point 0"),
+        (np.vstack([np.eye(3), [[0, np.inf, 0]]]), "point 3"),
+        (np.zeros((5, 2)), "shape"),
+        (np.zeros(3), "shape"),
+        (np.zeros((2, 3, 1)), "shape"),
+        (np.zeros((0, 2)), "shape"),
+        ([["a", "b", "c"]], "numbers"),
+    ],
+)
+def test_bad_points(points, message, method):
+    with pytest.raises(InputError, match=message):
+        alpha_persistence(points, method)
+
+
+def test_unknown_method():
+    with pytest.raises(InputError, match="exact"):
+        alpha_persistence(np.zeros((4, 3)), "exact")
+
+
+def test_pairs_are_frozen():
+    pairs = Pairs(np.zeros(1), np.ones(1), np.zeros((1, 1), int), np.zeros((1, 2), int))
+    assert len(pairs) == 1 and pairs.diagram.tolist() == [[0.0, 1.0]]
+    with pytest.raises(AttributeError):
+        pairs.births = np.ones(1)
+
+
+# exact predicates against rational arithmetic
+
+
+def determinant(rows: list[list[Fraction]]) -> Fraction:
+    if len(rows) == 1:
+        return rows[0][0]
+    minors = ([r[:k] + r[k + 1 :] for r in rows[1:]] for k in range(len(rows)))
+    return sum(((-1) ** k * rows[0][k] * determinant(m) for k, m in enumerate(minors)), Fraction(0))
+
+
+def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
+    exact = [[Fraction(float(x)) for x in p] for p in points]
+    return [[x - y for x, y in zip(p, exact[base])] for k, p in enumerate(exact) if k != base]
+
+
+def near_degenerate(k: int) -> np.ndarray:
+    """Five points of a lattice or a plane or a sphere, some of them off by a few units in the last place."""
+    rng = draw(f"predicate {k}")
+    points = [rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3)), sphere(5000)[5 * k % 4000 :][:5]][k % 3].copy()
+    return points + rng.integers(-2, 3, (5, 3)) * 2.0**-53 * (k % 2)
+
+
+@pytest.mark.parametrize("part", range(3))
+def test_predicates_have_the_sign_of_rational_arithmetic(part):
+    for k in range(part, 150, 3):
+        points = near_degenerate(k)
+        orient = determinant(fractions(points[:4], 3))
+        assert np.sign(predicates.orient3d(points, 0, 1, 2, 3, WS)) == np.sign(orient)
+        vectors = fractions(points, 4)
+        sphere_sign = determinant([[*v, sum(x * x for x in v)] for v in vectors])
+        # Shewchuk's convention: the determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented tetrahedron
+        assert np.sign(predicates.insphere(points, 0, 1, 2, 3, 4, WS)) == np.sign(sphere_sign)
+        a, b = fractions(points[:3], 2)
+        assert predicates.edge_excludes(points, 0, 1, 2, WS) == (sum(x * y for x, y in zip(a, b)) >= 0)
+        u, v, w = fractions(points[:4], 3)
+        normal = [v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]]
+        if any(normal):  # centre of the circle through 0, v, w, then the power of u
+            vv, ww = sum(x * x for x in v), sum(x * x for x in w)
+            side = [vv * q - ww * p for p, q in zip(v, w)]
+            cross = [side[(i + 1) % 3] * normal[(i + 2) % 3] - side[(i + 2) % 3] * normal[(i + 1) % 3] for i in range(3)]
+            nn = sum(x * x for x in normal)
+            for sign in (1, -1):  # the circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product
+                centre = [sign * x / (2 * nn) for x in cross]
+                if 2 * sum(c * x for c, x in zip(centre, v)) == vv and 2 * sum(c * x for c, x in zip(centre, w)) == ww:
+                    break
+            power = sum(x * x for x in u) - 2 * sum(c * x for c, x in zip(centre, u))
+            assert predicates.triangle_excludes(points, 3, 1, 2, 0, WS) == (power >= 0)
+
+
+def test_double_doubles_agree_with_exact_expansions():
+    for k in range(60):
+        points = near_degenerate(3 * k + 1)
+        rows = np.arange(5)
+        value = evaluate(points, rows, predicates.INSPHERE, np.empty((12 + len(predicates.INSPHERE), 2)))
+        exact = determinant([[*v, sum(x * x for x in v)] for v in fractions(points, 4)])
+        assert abs(value - exact) <= 1e-29 * 30
+        assert exact_sign(points, rows, predicates.INSPHERE, WS) == np.sign(exact)
+
+
+# the parts
+
+
+@pytest.mark.parametrize("n", [4, 5, 30, 1500])
+def test_triangulation_equals_scipys_on_generic_points(n):
+    points = draw(f"delaunay {n}").random((n, 3))
+    scaled, unit = ordering.normalised(points)
+    np.testing.assert_array_equal(scaled * unit, points)
+    order = ordering.insertion_order(scaled, ordering.ROUNDS)
+    mesh, distinct = delaunay.triangulate(np.ascontiguousarray(scaled[order]), order)
+    cells, neighbours = delaunay.finite_cells(mesh, np.arange(n, dtype=np.int32))
+    assert distinct == n
+    assert {tuple(r) for r in np.sort(order[cells], axis=1)} == {tuple(r) for r in np.sort(Delaunay(points).simplices, axis=1)}
+    for t in range(0, len(cells), 7):  # a neighbour lacks exactly the opposite vertex
+        for i in range(4):
+            if neighbours[t, i] >= 0:
+                assert set(cells[t]) - set(cells[neighbours[t, i]]) == {cells[t, i]}
+
+
+def test_a_star_of_many_cells_grows_the_workspaces():
+    points = np.vstack([sphere(3000), np.zeros((1, 3))])  # the centre, wherever it comes, sees every point: one huge cavity
+    voids = alpha_persistence(points)[2]
+    assert len(voids.deaths) > 0 and voids.deaths.max() < 0.51 + 0.2
+    scaled, _ = ordering.normalised(points)
+    order = np.arange(3001, dtype=np.int32)  # the centre last
+    mesh, _ = delaunay.triangulate(scaled.copy(), order)
+    cells, _ = delaunay.finite_cells(mesh, np.arange(3001, dtype=np.int32))
+    assert (cells == 3000).any(axis=1).sum() > 5000
+
+
+def test_sort_keys_is_a_stable_sort():
+    rng = draw("sort")
+    for keys in (rng.integers(0, 2**63, 5000).astype(np.uint64), rng.integers(0, 9, 5000).astype(np.uint64), np.zeros(0, np.uint64)):
+        np.testing.assert_array_equal(ordering.sort_keys(keys), np.argsort(keys, kind="stable"))
+
+
+def test_insertion_order_is_a_permutation():
+    points = CLOUDS["duplicates"]()
+    assert sorted(ordering.insertion_order(points, ordering.ROUNDS)) == list(range(len(points)))
+    assert sorted(ordering.insertion_order(np.zeros((7, 3)), 0)) == list(range(7))
