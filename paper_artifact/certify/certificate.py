@@ -1,0 +1,212 @@
+"""The certificate of a mesh: exact weld, surface checks, exact homology, its agreement with the Euler characteristic, a verdict.
+
+Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own triangles: self-intersections do
+not change it, and are not looked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from paper_artifact.certify.homology import betti_numbers, dual_voids
+from paper_artifact.certify.simplices import make_complex
+from paper_artifact.certify.surface import check_surface, open_edge_count
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import Mesh, weld
+
+
+@dataclass(frozen=True)
+class Component:
+    """One connected component. euler = vertices - edges + faces of its distinct simplices; betti over Z/2.
+
+    genus: of a closed orientable component or of one with boundary loops filled; for a non-orientable one the number of crosscaps; None
+    where the component is no manifold. volume: signed, cubic world units, None unless closed and consistently wound.
+    expected: the Betti numbers that the classification of surfaces gives from euler and the boundary; None for no manifold.
+    """
+
+    vertices: int
+    edges: int
+    faces: int
+    euler: int
+    betti: tuple[int, int, int]
+    expected: tuple[int, int, int] | None
+    open_edges: int
+    boundary_loops: int
+    nonmanifold_edges: int
+    pinched_vertices: int
+    reversed_edges: int
+    orientable: bool
+    genus: int | None
+    volume: float | None
+
+    @property
+    def manifold(self) -> bool:
+        """Every edge has at most two faces and the faces at every vertex form one fan."""
+        return self.nonmanifold_edges == 0 and self.pinched_vertices == 0
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Counts after the exact weld, unless they are called as_indexed.
+
+    betti: of the whole complex over Z/2; betti2_dual: b2 counted once more by duality, None where that would be too large;
+    euler: of the distinct simplices; euler_as_given counts repeated faces each time. components: largest first. verdict: "pass" or
+    "fail" with reasons; with_boundary: open edges were allowed. notes: what is odd and changes no verdict. kind: in words.
+    """
+
+    name: str
+    vertices_as_indexed: int
+    faces_as_indexed: int
+    open_edges_as_indexed: int
+    vertices: int
+    edges: int
+    faces: int
+    collapsed_faces: int
+    duplicate_faces: int
+    flat_faces: int
+    open_edges: int
+    boundary_loops: int
+    nonmanifold_edges: int
+    pinched_vertices: int
+    reversed_edges: int
+    orientable: bool
+    euler: int
+    euler_as_given: int
+    betti: tuple[int, int, int]
+    betti2_dual: int | None
+    components: tuple[Component, ...]
+    kind: str
+    with_boundary: bool
+    verdict: str
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is "pass"."""
+        return self.verdict == "pass"
+
+    @property
+    def closed(self) -> bool:
+        """No open edges."""
+        return self.open_edges == 0
+
+    @property
+    def genus(self) -> int | None:
+        """Sum of the components' genera; None unless all are orientable manifolds."""
+        genera = [each.genus if each.orientable else None for each in self.components]
+        return None if None in genera else sum(genera)
+
+    def to_json(self) -> dict:
+        """Return a JSON-able dict of all fields and `genus`."""
+        return asdict(self) | {"genus": self.genus}
+
+
+def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
+    """Return the Certificate of a Mesh (load it with `welded=False` to have its own indexing reported).
+
+    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises InputError when nothing is left
+    after the weld.
+    """
+    return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary)
+
+
+def certify(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with_boundary: bool = False) -> Certificate:
+    """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64; see `certify_mesh`."""
+    welded, indexed = weld(vertices, faces)
+    if len(indexed) == 0:
+        raise InputError(f"{name} has no triangle with three different corners; give a mesh with a surface")
+    simplices = make_complex(indexed, len(welded))
+    checks = check_surface(welded, indexed, simplices.component_of_vertex)
+    betti, counts = betti_numbers(simplices), simplices.counts()
+    components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
+    total = tuple(int(b) for b in betti.sum(axis=0))
+    dual = dual_voids(simplices)
+    numbers = {field: int(getattr(checks, field).sum()) for field in (
+        "open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")}
+    euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
+    reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
+    return Certificate(
+        name=name, vertices_as_indexed=len(vertices), faces_as_indexed=len(faces),
+        open_edges_as_indexed=open_edge_count(np.asarray(faces), len(vertices)),
+        vertices=len(welded), edges=len(simplices.edges), faces=len(indexed), collapsed_faces=len(faces) - len(indexed),
+        duplicate_faces=checks.duplicate_faces, flat_faces=checks.flat_faces, **numbers, orientable=bool(checks.orientable.all()),
+        euler=euler, euler_as_given=euler + checks.duplicate_faces, betti=total, betti2_dual=dual,
+        components=tuple(sorted(components, key=lambda each: -each.faces)), kind=_kind(components), with_boundary=with_boundary,
+        verdict="fail" if reasons else "pass", reasons=tuple(reasons), notes=tuple(_notes(checks, components, len(faces) - len(indexed))),
+    )
+
+
+def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
+    vertices, edges, faces = counts
+    euler = vertices - edges + faces
+    numbers = {field: int(getattr(checks, field)[i]) for field in (
+        "open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")}
+    orientable, loops = bool(checks.orientable[i]), numbers["boundary_loops"]
+    genus = expected = None
+    if numbers["nonmanifold_edges"] == numbers["pinched_vertices"] == 0:
+        crosscaps = 2 - euler - loops
+        genus = crosscaps // 2 if orientable else crosscaps
+        expected = (1, 2 - euler, 1) if loops == 0 else (1, 1 - euler, 0)
+    whole = expected is not None and loops == 0 and orientable and numbers["reversed_edges"] == 0
+    return Component(vertices, edges, faces, euler, tuple(int(b) for b in betti), expected, **numbers, orientable=orientable,
+                     genus=genus, volume=float(checks.volume[i]) if whole else None)
+
+
+def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[str]:
+    reasons = []
+    if numbers["open_edges"] and not with_boundary:
+        reasons.append(f"{_count(numbers['open_edges'], 'open edge')} in {_count(numbers['boundary_loops'], 'boundary loop')}")
+    if numbers["nonmanifold_edges"]:
+        reasons.append(f"non-manifold: {_count(numbers['nonmanifold_edges'], 'edge')} with more than two faces")
+    if numbers["pinched_vertices"]:
+        reasons.append(f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} (faces in more than one fan)")
+    if checks.duplicate_faces:
+        reasons.append(f"{_count(checks.duplicate_faces, 'duplicate face')}")
+    odd = [each.euler for each in components if each.euler % 2 and each.open_edges == 0]
+    if odd:
+        reasons.append(f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary")
+    if not checks.orientable.all():
+        reasons.append(f"not orientable ({_count(int((~checks.orientable).sum()), 'component')})")
+    elif numbers["reversed_edges"]:
+        reasons.append(f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}")
+    if any(each.expected not in (None, each.betti) for each in components) or dual not in (None, betti[2]):
+        reasons.append("homology and Euler characteristic disagree: please report this mesh, it is a fault of the certificate")
+    return reasons
+
+
+def _notes(checks, components, collapsed: int) -> list[str]:
+    notes = []
+    if collapsed:
+        notes.append(f"{_count(collapsed, 'face')} dropped by the weld: two corners are one point")
+    if checks.flat_faces:
+        notes.append(f"{_count(checks.flat_faces, 'face')} of zero area")
+    inward = sum(1 for each in components if each.volume is not None and each.volume < 0)
+    if inward:
+        notes.append(f"{inward} of {_count(len(components), 'component')} wound inwards (negative volume; a cavity's wall is, a body's should not be)")
+    return notes
+
+
+def _kind(components: list[Component]) -> str:
+    """What the mesh is, in words: of one component its surface, else how many of which sort."""
+    sorts: dict[str, int] = {}
+    for each in components:
+        sorts[_sort_of(each)] = sorts.get(_sort_of(each), 0) + 1
+    return "; ".join(f"{number} × {sort}" if len(components) > 1 else sort for sort, number in sorts.items())
+
+
+def _sort_of(each: Component) -> str:
+    if not each.manifold:
+        return "no manifold"
+    handles = f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus, 'crosscap')}"
+    if each.boundary_loops == 0:
+        return f"closed surface, {handles}"
+    if each.genus == 0 and each.orientable:
+        return {1: "disk", 2: "annulus"}.get(each.boundary_loops, f"sphere with {each.boundary_loops} holes")
+    return f"surface with {_count(each.boundary_loops, 'boundary loop')}, {handles}"
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

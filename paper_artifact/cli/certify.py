@@ -1,0 +1,41 @@
+"""`python -m paper_artifact certify MESH`: exact homology, manifold checks, a verdict with reasons."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from paper_artifact.errors import InputError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options on `parser`."""
+    parser.add_argument("mesh", nargs="?", help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the whole certificate as JSON")
+    parser.add_argument("--with-boundary", action="store_true",
+                        help="certify a surface with boundary as such (disk, annulus …) instead of failing its open edges")
+    parser.add_argument("--strict", action="store_true", help="exit code 1 unless the mesh passes")
+    parser.add_argument("--candidates", action="store_true", help="instead of one mesh: the paper's eleven candidates, ours beside its table")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the certificate. Returns 0 (with --strict 1 when it fails); InputError goes to the caller."""
+    from paper_artifact.certify.certificate import certify_mesh
+    from paper_artifact.certify.disposition import disposition_text, dispositions
+    from paper_artifact.certify.text import certificate_text
+    from paper_artifact.files import write_json
+    from paper_artifact.scene.find import find_mesh
+
+    if arguments.candidates == (arguments.mesh is not None):
+        raise InputError("name one mesh to certify, or give --candidates for the paper's table")
+    if arguments.candidates:
+        rows = dispositions()
+        print(disposition_text(rows))
+        if arguments.json:
+            write_json(arguments.json, {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows})
+        return 1 if arguments.strict and any(row.agrees is False for row in rows) else 0
+    certificate = certify_mesh(find_mesh(arguments.mesh, welded=False), with_boundary=arguments.with_boundary)
+    if arguments.json:
+        write_json(arguments.json, certificate.to_json())
+    print(certificate_text(certificate))
+    return 1 if arguments.strict and not certificate.passed else 0

@@ -1,0 +1,28 @@
+"""One name for every mesh: an analytic shape, an external mesh's key, the pot's stand-in, or a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import Mesh, load_mesh
+from paper_artifact.scene.fetch import mesh_path
+from paper_artifact.scene.shapes import SHAPES, make_shape
+from paper_artifact.scene.sources import sources
+
+
+def find_mesh(shape: str, welded: bool = True) -> Mesh:
+    """Return the mesh of an analytic shape, of an external mesh's key (fetched when needed), or of a mesh file's path.
+
+    welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the name is none of these, or
+    the file cannot be had.
+    """
+    if shape in SHAPES:
+        return make_shape(shape)
+    if shape in sources():
+        return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
+    if Path(shape).suffix or Path(shape).is_file():
+        return load_mesh(Path(shape), welded=welded)
+    raise InputError(f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, a key of `python -m paper_artifact fetch --list`, "
+                     "or the path of a mesh file")

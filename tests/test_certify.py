@@ -1,0 +1,166 @@
+"""Certificates against surfaces of known homology, gudhi's simplicial homology, trimesh's counts, and the paper's dispositions."""
+
+from __future__ import annotations
+
+import json
+
+import gudhi
+import numpy as np
+import pytest
+import trimesh
+
+from paper_artifact import cli
+from paper_artifact.certify import disposition
+from paper_artifact.certify.certificate import certify, certify_mesh
+from paper_artifact.certify.homology import betti_numbers, dual_voids
+from paper_artifact.certify.simplices import make_complex
+from paper_artifact.certify.text import certificate_text
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import load_mesh
+from paper_artifact.scene.find import find_mesh
+from tests import certify_shapes as shapes
+
+
+def gudhi_betti(faces: np.ndarray) -> tuple[int, ...]:
+    tree = gudhi.SimplexTree()
+    for face in np.asarray(faces).tolist():
+        tree.insert(face, 0.0)
+    tree.compute_persistence(homology_coeff_field=2, min_persistence=-1, persistence_dim_max=True)
+    return tuple((tree.betti_numbers() + [0, 0, 0])[:3])
+
+
+@pytest.mark.parametrize("name", shapes.KNOWN)
+def test_known_surfaces(name):
+    (vertices, faces), betti, verdict, words = shapes.KNOWN[name]
+    certificate = certify(vertices, faces, name)
+    assert certificate.betti == betti
+    assert certificate.betti2_dual == betti[2]
+    assert certificate.verdict == verdict, certificate.reasons
+    assert words in (certificate.kind if certificate.passed else "; ".join(certificate.reasons))
+    assert certificate.euler == betti[0] - betti[1] + betti[2]
+
+
+@pytest.mark.parametrize("name", shapes.KNOWN)
+def test_known_surfaces_against_gudhi_and_trimesh(name):
+    (vertices, faces), _, _, _ = shapes.KNOWN[name]
+    certificate = certify(vertices, faces, name)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices(digits_vertex=9)
+    assert certificate.betti == gudhi_betti(mesh.faces)
+    assert certificate.euler_as_given == mesh.euler_number
+    edges, times = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    assert (certificate.open_edges, certificate.nonmanifold_edges) == ((times == 1).sum(), (times > 2).sum())
+    assert (certificate.open_edges + certificate.nonmanifold_edges == 0) == mesh.is_watertight
+    if certificate.nonmanifold_edges == 0:
+        assert (certificate.reversed_edges == 0) == mesh.is_winding_consistent
+    assert len(certificate.components) == trimesh.graph.connected_component_labels(mesh.edges, len(mesh.vertices)).max() + 1
+    if certificate.passed:
+        assert sum(each.volume for each in certificate.components) == pytest.approx(mesh.volume)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_complexes_against_gudhi(seed):
+    rng = np.random.default_rng(seed)
+    faces = np.array([rng.choice(rng.integers(4, 14), 3, replace=False) for _ in range(rng.integers(1, 70))])
+    used, faces = np.unique(faces, return_inverse=True)
+    simplices = make_complex(faces.reshape(-1, 3), len(used))
+    betti = betti_numbers(simplices)
+    assert tuple(betti.sum(axis=0)) == gudhi_betti(faces.reshape(-1, 3))
+    assert dual_voids(simplices) == betti[:, 2].sum()
+    assert (betti[:, 0] - betti[:, 1] + betti[:, 2] == simplices.counts() @ [1, -1, 1]).all()
+
+
+def test_every_triangle_of_many_points_has_all_voids():
+    faces = np.array([[a, b, c] for a in range(14) for b in range(a) for c in range(b)])
+    assert betti_numbers(make_complex(faces, 14)).tolist() == [[1, 0, 286]]  # binomial(13, 3)
+
+
+def test_order_of_faces_and_vertices_changes_nothing():
+    vertices, faces = shapes.joined(shapes.plate(3), shapes.band(12, twist=True))
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        renamed = rng.permutation(len(vertices))
+        shuffled = np.argsort(renamed)[faces][rng.permutation(len(faces))]
+        assert certify(vertices[renamed], shuffled).betti == (2, 7, 1)
+
+
+def test_the_weld_is_counted():
+    vertices, faces = shapes.plate(1)
+    corners = vertices[faces].reshape(-1, 3)
+    soup = np.concatenate([corners, corners[:1], corners[:1], corners[1:2]])
+    indexed = np.arange(len(soup)).reshape(-1, 3)
+    certificate = certify(soup, indexed, "soup")
+    assert certificate.passed and certificate.betti == (1, 2, 1)
+    assert certificate.open_edges_as_indexed == indexed.size and certificate.collapsed_faces == 1
+    assert any("1 face dropped by the weld" in note for note in certificate.notes)
+
+
+def test_boundaries_are_certified_as_such_on_request():
+    (vertices, faces), _, _, _ = shapes.KNOWN["bowl"]
+    certificate = certify(vertices, faces, "bowl", with_boundary=True)
+    assert certificate.passed and certificate.kind == "disk" and certificate.boundary_loops == 1 and not certificate.closed
+    strip = certify(*shapes.band(9, twist=True), with_boundary=True)
+    assert not strip.passed and strip.boundary_loops == 1 and strip.components[0].genus == 1 and "crosscap" in strip.kind
+
+
+def test_winding_is_judged():
+    vertices, faces = shapes.ball()
+    flipped = faces.copy()
+    flipped[7] = flipped[7, ::-1]
+    certificate = certify(vertices, flipped)
+    assert certificate.reasons == ("inconsistent winding at 3 edges",) and certificate.orientable
+    inwards = certify(*shapes.ball(inwards=True))
+    assert inwards.passed and "wound inwards" in inwards.notes[0] and inwards.components[0].volume < 0
+
+
+@pytest.mark.parametrize("key", [key for key in disposition.PUBLISHED if key != "max-planck"])
+def test_the_papers_dispositions(key):
+    (row,) = disposition.dispositions((key,))
+    assert row.agrees, row.measured
+
+
+def test_the_measured_details_of_the_failures():
+    certificate = {key: certify_mesh(find_mesh(key, welded=False)) for key in ("ogre", "teapot", "beast", "cow", "horse")}
+    assert (certificate["ogre"].open_edges_as_indexed, certificate["ogre"].open_edges, len(certificate["ogre"].components)) == (236, 200, 44)
+    assert (certificate["teapot"].open_edges_as_indexed, certificate["teapot"].open_edges) == (1036, 160)
+    assert (certificate["beast"].nonmanifold_edges, certificate["beast"].duplicate_faces, certificate["beast"].euler_as_given) == (2, 2, 4)
+    assert (certificate["cow"].betti, certificate["cow"].euler, certificate["cow"].pinched_vertices) == ((1, 1, 1), 1, 1)
+    assert certificate["horse"].components[0].volume < 0
+
+
+def test_the_candidate_that_cannot_be_had_is_listed():
+    (row,) = disposition.dispositions(("max-planck",))
+    assert row.certificate is None and "not obtainable" in disposition.disposition_text([row])
+
+
+def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
+    (vertices, faces), _, _, _ = shapes.KNOWN["pinched vertex"]
+    path = tmp_path / "pinched.off"
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    assert cli.main(["certify", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "FAIL" in printed and "1 pinched vertex" in printed and "(1, 0, 2)" in printed
+    stored = json.loads((tmp_path / "c.json").read_text())
+    assert stored["betti"] == [1, 0, 2] and stored["verdict"] == "fail" and stored["components"][0]["pinched_vertices"] == 1
+    assert cli.main(["certify", str(path), "--strict"]) == 1
+    assert cli.main(["certify", "bowl_narrow", "--with-boundary", "--strict"]) == 0
+    assert "PASS as a surface with boundary" in capsys.readouterr().out
+    assert cli.main(["certify"]) == 1
+    assert "name one mesh" in capsys.readouterr().err
+
+
+def test_many_components_are_cut_short_in_the_table():
+    certificate = certify(*shapes.joined(*[shapes.tetrahedron(3.0 * i) for i in range(20)]))
+    assert certificate.betti == (20, 0, 20) and "and 8 smaller components" in certificate_text(certificate)
+
+
+def test_nothing_left_is_refused():
+    with pytest.raises(InputError, match="no triangle with three different corners"):
+        certify(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+
+
+def test_a_file_is_certified_as_it_was_written(tmp_path):
+    vertices, faces = shapes.plate(2)
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "plate.stl")
+    certificate = certify_mesh(load_mesh(tmp_path / "plate.stl", welded=False))
+    assert certificate.passed and certificate.genus == 2 and certificate.vertices_as_indexed == 3 * len(faces)
