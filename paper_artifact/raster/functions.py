@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from paper_artifact.raster import edges, photometric, shading
+from paper_artifact.raster.fused import to_clip
 from paper_artifact.raster.threads import run_jobs
 from paper_artifact.raster.visibility import ViewRaster
 
@@ -87,11 +88,7 @@ def rasterize(vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: np.n
     views = [buffers.view(index, height, width) for index in range(len(matrices))]
 
     def job(index: int) -> None:
-        matrix = matrices[index]
-        clip = np.empty((len(corners), 4), np.float32)
-        for row in range(4):  # in this order on every machine: a BLAS product may sum in another one
-            clip[:, row] = corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
-        views[index].draw(clip, faces, alpha, None if keys is None else keys[index])
+        views[index].draw(to_clip(corners, matrices[index]), faces, alpha, None if keys is None else keys[index])
 
     run_jobs(job, len(views))
     return Raster(views, matrices, camera_rays(matrices), len(faces), height, width, buffers)

@@ -10,6 +10,7 @@ import torch
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster import functions
+from paper_artifact.raster.fused import FusedStep
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 
@@ -19,10 +20,11 @@ class CpuBackend:
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
         self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2), np.float32))
-        self._mean, self._square = functions.target_statistics(self._targets)
-        self._matrices, self._background = scene.world_to_clip, scene.background
-        self._buffers = functions.RasterBuffers()
+        self._targets = np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2), np.float32)
+        self._statistics = functions.target_statistics(torch.from_numpy(self._targets))
+        self._matrices = np.ascontiguousarray(scene.world_to_clip, np.float32)
+        self._rays = functions.camera_rays(self._matrices)
+        self._step = FusedStep(*self._targets.shape[2:], scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
         """Return the soup itself: it lives on the CPU."""
@@ -31,17 +33,19 @@ class CpuBackend:
     to_host = to_device
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
-        """Add the batch's gradients to the soup's tensors and return the loss; views are scene view indices, one draw key each."""
+        """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw key each."""
         rows = [self._row[int(view)] for view in views]
-        target = self._targets[rows]
-        opacity = torch.sigmoid(soup.opacity)
-        raster = functions.rasterize(soup.vertices, opacity, self._matrices[views], *target.shape[2:], keys, self._buffers)
-        colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, self._background)
-        auxiliary = functions.opacity_gradient(opacity, colour, target, raster)
-        colour = functions.edge_gradient(colour, soup.vertices, raster)
-        loss = functions.photometric_loss(colour, target, (self._mean[rows], self._square[rows]))
-        (loss + auxiliary).backward()
-        return loss.item()
+        with torch.no_grad():
+            features, opacity = torch.sigmoid(soup.features), torch.sigmoid(soup.opacity)
+            loss, gradients = self._step(soup.vertices.numpy(), features.numpy(), opacity.numpy(), tuple(each.numpy() for each in soup.mlp),
+                                         self._matrices[views], self._rays[views], [self._targets[row] for row in rows],
+                                         [tuple(each[row] for each in self._statistics) for row in rows], keys)
+            soup.vertices.grad = torch.from_numpy(gradients.vertices)
+            soup.features.grad = torch.from_numpy(gradients.features).mul_(features * (1 - features))
+            soup.opacity.grad = torch.from_numpy(gradients.opacity).mul_(opacity * (1 - opacity))
+            for tensor, gradient in zip(soup.mlp, gradients.mlp):
+                tensor.grad = torch.from_numpy(gradient)
+        return loss
 
 
 class TwinBackend:

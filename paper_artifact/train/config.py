@@ -5,6 +5,7 @@ Paths, thread counts and verbosity are not here: they cannot change the bits. Th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -36,7 +37,7 @@ class RunConfig:
     size: int = 200
     background: str = "white"
     batch: int = 4
-    vertex_lr: float = 1e-2
+    vertex_lr: float = 9e-3
     feature_lr: float = 5e-2
     opacity_lr: float = 5e-2
     mlp_lr: float = 1e-2
@@ -58,12 +59,15 @@ class RunConfig:
         if self.size < 22:
             raise InputError(f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}")
         for name in ("vertex_lr", "feature_lr", "opacity_lr", "mlp_lr", "final_lr", "initial_ratio"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(f"{name} must be positive and finite, got {getattr(self, name)}")
         if self.background not in ("white", "black"):
             raise InputError(f"background must be white or black, got {self.background!r}")
-        if any(step < 1 or step > self.steps for step in self.dump_steps):
-            raise InputError(f"dump_steps must lie in 1…{self.steps}, got {self.dump_steps}")
+        whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
+        if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
+            raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
+        if not isinstance(self.topology, tuple) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.topology):
+            raise InputError(f"topology must be a tuple of (name, value) pairs, got {self.topology!r}")
 
 
 def default_config(shape: str, **changes: Any) -> RunConfig:

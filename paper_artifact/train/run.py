@@ -17,12 +17,12 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.evaluate import evaluate_soup, make_target, tails
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import RESULTS
-from paper_artifact.mesh import Mesh, load_mesh
+from paper_artifact.mesh import Mesh
 from paper_artifact.raster import functions
 from paper_artifact.record.record import make_record, read_record, record_path, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
+from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
-from paper_artifact.scene.shapes import SHAPES, make_shape
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.train.config import RunConfig
 from paper_artifact.train.loop import train
@@ -30,24 +30,6 @@ from paper_artifact.train.loop import train
 SCENES = RESULTS / "scenes"
 CHECKPOINTS = RESULTS / "checkpoints"
 SOUPS = RESULTS / "soups"
-
-
-def find_mesh(shape: str) -> Mesh:
-    """Return the mesh of an analytic shape, of an external mesh's key (fetched when needed), or of a mesh file's path.
-
-    Raises InputError when it is none of them, or the file cannot be had.
-    """
-    if shape in SHAPES:
-        return make_shape(shape)
-    from paper_artifact.scene.fetch import mesh_path
-    from paper_artifact.scene.sources import sources
-
-    if shape in sources():
-        return replace(load_mesh(mesh_path(shape)), name=shape)
-    if Path(shape).suffix:
-        return load_mesh(Path(shape))
-    raise InputError(f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, a key of `python -m paper_artifact fetch --list`, "
-                     "or the path of a mesh file")
 
 
 def with_condition(config: RunConfig, mesh: Mesh) -> RunConfig:
@@ -114,12 +96,19 @@ def run(config: RunConfig, *, mesh: Mesh | None = None, results: Path = RESULTS,
     config = with_condition(config, mesh)
     path = record_path(config, results / "runs")
     if path.is_file() and not again:
-        return read_record(path)
-    (results / "runs").mkdir(parents=True, exist_ok=True)
+        record = read_record(path)
+        # Of a mesh file the configuration holds the path only. (Analytic shapes may differ in the last bit between machines.)
+        if Path(config.shape).is_file() and record.get("mesh", {}).get("sha256") != mesh_hash(mesh):
+            raise InputError(f"the record {path} is of another mesh than {config.shape} is now; run with --again to replace it")
+        return record
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to") from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
     term, bundle = make_run_term(config, mesh)
-    checkpoint = results / "checkpoints" / f"{path.stem}.pt"
+    checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
     cpu = time.process_time()
 
     def evaluate(soup: Soup, step: int) -> dict:

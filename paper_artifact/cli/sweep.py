@@ -1,0 +1,55 @@
+"""`python -m paper_artifact sweep STUDY`: run a study's table of runs; what is recorded is not run again."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import RESULTS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options on `parser`."""
+    parser.add_argument("study", help="baseline, table1, table2 or bowls (paper_artifact/study/studies.py)")
+    parser.add_argument("--shape", action="append", help="only this shape (may be given several times)")
+    parser.add_argument("--condition", action="append", help="only this condition (may be given several times)")
+    parser.add_argument("--seed", action="append", type=int, help="only this seed (may be given several times)")
+    parser.add_argument("--workers", type=int, default=1, help="runs at the same time, one process and one thread each (default: %(default)s)")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder with runs/ (default: results/)")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda or auto (default: %(default)s)")
+    parser.add_argument("--executor", choices=("process", "dask"), default="process", help="(default: %(default)s)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask scheduler, e.g. tcp://host:8786, with --executor dask")
+    parser.add_argument("--list", action="store_true", help="only say what is recorded and what is missing")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed; InputError goes to the caller."""
+    from tqdm import tqdm
+
+    from paper_artifact.study.studies import study_configs
+    from paper_artifact.study.sweep import complete, missing, sweep
+
+    if (arguments.executor == "dask") != bool(arguments.scheduler):
+        raise InputError("--executor dask and --scheduler ADDRESS belong together; give both or neither")
+    configs = study_configs(arguments.study, arguments.shape, arguments.condition, arguments.seed)
+    if arguments.list:
+        todo = missing(complete(configs), arguments.results)
+        for config in todo:
+            print(f"missing: {config.shape} {config.condition} seed {config.seed}")
+        print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
+        return 0
+    with tqdm(total=1, disable=arguments.quiet, unit="run") as bar:
+        def report(text: str, ended: int, total: int) -> None:
+            bar.total = total
+            bar.set_description(text, refresh=False)
+            bar.update(ended - bar.n)
+            bar.refresh()
+
+        outcomes = sweep(configs, arguments.results, workers=arguments.workers, device=arguments.device, scheduler=arguments.scheduler,
+                         report=report)
+    failures = [outcome for outcome in outcomes if outcome.failure]
+    print(f"{len(outcomes) - len(failures)} runs done, {len(configs) - len(outcomes)} were recorded before, {len(failures)} failed")
+    for outcome in failures:
+        print(f"  {outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}: {outcome.failure}")
+    return 1 if failures else 0
