@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from paper_artifact.errors import InputError
+from paper_artifact.record.packing import pack, unpack
 from paper_artifact.record.record import config_hash, find_records, make_record, read_record, record_path, write_record
 
 
@@ -59,6 +63,35 @@ def test_find_records_by_config(tmp_path):
     assert find_records(tmp_path / "nothing") == []
 
 
+def refresh(step: int) -> dict:
+    live = [0.013 + step / 1e6, 0.155 - step / 1e6]
+    targets = [{"kind": kind, "live": live, "target": [0.0130424, 0.1559181]} for kind in ("matched", "recruited", "recruited")]
+    return {"event": "refresh", "step": step, "floor": 0.0606, "live_floor": 0.06 + step / 1e5,
+            "dimensions": {"1": {"matched": 1, "recruited": 2, "targets": targets[: 3 if step % 30 else 2]}}}
+
+
+def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
+    log = [refresh(step) for step in range(501, 2501, 10)] + [{"event": "lambda", "step": 501, "lambda_peak": 1 / 3}]
+    record = example(topology=log)
+    path = write_record(record, tmp_path)
+    assert read_record(path) == record and record["topology"][-1]["lambda_peak"] == 0.3333333
+    assert record["topology"][0]["dimensions"]["1"]["targets"][1]["kind"] == "recruited"
+    assert path.stat().st_size < 40_000 < len(json.dumps(log))
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 3) | st.sampled_from([0.5, 1.0, -0.0]) | st.sampled_from("ab"),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.sampled_from("xyz"), inner, max_size=3)
+    | st.lists(st.fixed_dictionaries({"x": inner}, optional={"y": inner}), min_size=2, max_size=5), max_leaves=25)
+
+
+@settings(max_examples=300, deadline=None)
+@given(json_values)
+def test_packing_loses_nothing(value):
+    again = unpack(json.loads(json.dumps(pack(value))))
+    assert json.dumps(again, sort_keys=True) == json.dumps(value, sort_keys=True)
+
+
 def changed(path, change) -> None:
     record = json.loads(path.read_text())
     change(record)
@@ -68,7 +101,8 @@ def changed(path, change) -> None:
 @pytest.mark.parametrize("change, reason", [
     (lambda record: record["config"].update(seed=4), "config does not match"),
     (lambda record: record["tails"].update(bottleneck=[0, 0, 0]), "digest mismatch"),
-    (lambda record: record["dumps"].pop(), "digest mismatch"),
+    (lambda record: record.update(dumps=[]), "digest mismatch"),
+    (lambda record: record.update(dumps={"#table": {"a": [1], "b": [1, 2]}}), "damaged in its tables"),
     (lambda record: record.pop("dumps"), "lacks dumps"),
     (lambda record: record.update(version=99), "version 99"),
     (lambda record: record.update(schema="other"), "no run record"),
@@ -116,6 +150,8 @@ def test_make_record_refuses_what_it_cannot_hold():
         example(topology={1, 2})
     with pytest.raises(InputError, match="different lengths"):
         make_record(Config(), [], {}, {}, losses={"step": [1, 2], "total": [1.0]})
+    with pytest.raises(InputError, match="must not start"):
+        example(topology={"#same": 1})
 
 
 def test_failed_run_keeps_its_reason(tmp_path):

@@ -21,32 +21,40 @@ import numpy as np
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, write_text
 from paper_artifact.record.environment import host, packages
+from paper_artifact.record.packing import pack, unpack
 
 SCHEMA = "paper_artifact.run"
 VERSION = 1
 RUNS = RESULTS / "runs"
 STATUSES = ("done", "failed")
 REQUIRED = ("config", "config_hash", "digest", "dumps", "host", "packages", "status", "tails", "timings")
+DIGITS = 7
+ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
 LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
 
-def plain(value: Any) -> Any:
-    """Return `value` as JSON knows it: dataclasses, mappings → dicts; arrays, tuples → lists; NaN, infinity → None."""
+def plain(value: Any, digits: int | None = None) -> Any:
+    """Return `value` as JSON knows it: dataclasses, mappings → dicts; arrays, tuples → lists; NaN, infinity → None.
+
+    digits: significant digits that floats are rounded to, or None. Raises InputError for what a record cannot hold.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        if any(str(key).startswith("#") for key in value):
+            raise InputError("a record's names must not start with '#', which marks packed tables; rename the entry")
+        return {str(key): plain(item, digits) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return plain(value.tolist(), digits)
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain(item, digits) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
+    if isinstance(value, float):
+        return None if not math.isfinite(value) else value if digits is None else float(f"{value:.{digits}g}")
     if isinstance(value, Path):
         return value.as_posix()
-    if value is None or isinstance(value, (bool, int, float, str)):
+    if value is None or isinstance(value, (bool, int, str)):
         return value
     raise InputError(f"a record cannot hold a {type(value).__name__}; give numbers, texts, lists or mappings")
 
@@ -80,15 +88,18 @@ def make_record(config: Any, dumps: list, tails: Mapping, timings: Mapping[str, 
         "config": plain(config), "config_hash": config_hash(config),
         "packages": packages(), "host": host(),
         "timings": {name: round(float(seconds), 3) for name, seconds in timings.items()},
-        "dumps": plain(dumps), "tails": plain(tails), "losses": _thinned(losses or {}),
-    } | {name: plain(value) for name, value in more.items()}
+        "dumps": plain(dumps, DIGITS), "tails": plain(tails, DIGITS), "losses": _thinned(losses or {}),
+    } | {name: plain(value, DIGITS if name in ROUNDED else None) for name, value in more.items()}
     return body | {"digest": _hash(body)}
 
 
 def write_record(record: Mapping, folder: Path | str = RUNS) -> Path:
-    """Write `record` (of `make_record`) atomically under its name in `folder`, one line per top-level key; return the path."""
+    """Write `record` (of `make_record`) atomically under its name in `folder` and return the path.
+
+    One line per top-level key; long logs are packed as tables (see `packing`), which `read_record` undoes.
+    """
     path = record_path(record["config"], folder)
-    lines = [f" {json.dumps(key)}: {_canonical(record[key])}" for key in sorted(record)]
+    lines = [f" {json.dumps(key)}: {_canonical(pack(record[key]) if key in ROUNDED else record[key])}" for key in sorted(record)]
     write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
     return path
 
@@ -110,6 +121,10 @@ def read_record(path: Path | str) -> dict:
         raise InputError(f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder")
     if record.get("version") != VERSION:
         raise InputError(f"the record {path} has version {record.get('version')}, this code reads {VERSION}; run it again")
+    try:
+        record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"the record {path} is damaged in its tables ({error}); delete it and run again") from error
     missing = [name for name in REQUIRED if name not in record]
     if missing:
         raise InputError(f"the record {path} lacks {', '.join(missing)}; delete it and run again")
