@@ -1,0 +1,23 @@
+"""Fixtures that more than one test file uses: the tiny scene, built once a session."""
+
+from __future__ import annotations
+
+import pytest
+
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.train.run import prepare_scene
+from tests.tiny_run import tiny_config
+
+
+@pytest.fixture(scope="session")
+def tiny_results(tmp_path_factory):
+    """A results folder that holds the tiny run's scene and nothing else; copy it, do not write to it."""
+    folder = tmp_path_factory.mktemp("tiny") / "results"
+    prepare_scene(tiny_config(), make_shape("sphere"), folder / "scenes")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_scene(tiny_results):
+    """The tiny run's scene, loaded."""
+    return prepare_scene(tiny_config(), make_shape("sphere"), tiny_results / "scenes")

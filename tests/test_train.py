@@ -1,0 +1,390 @@
+"""The training loop on a tiny scene: it learns, its bits depend on the configuration alone, it resumes, its term, its errors.
+
+CUDA cannot be tested on a machine without one: what runs there is the twin, held to the CPU kernels below in float64 on the CPU.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from paper_artifact import cli
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.image import image_scores
+from paper_artifact.files import REPOSITORY
+from paper_artifact.raster.draws import view_key
+from paper_artifact.raster.threads import set_thread_count, thread_count
+from paper_artifact.record.record import find_records
+from paper_artifact.soup.initialise import initial_soup
+from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.state import load_soup
+from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
+from paper_artifact.train.checkpoint import read_checkpoint
+from paper_artifact.train.config import RunConfig, default_config
+from paper_artifact.train.loop import TrainingError, TrainResult, batch_views, train
+from paper_artifact.train.run import render_views, run
+from tests.tiny_run import STEPS, tiny_arguments, tiny_config
+
+RESAMPLED = [10, 20, 30, 40, 50]
+
+
+def parts(soup) -> list[torch.Tensor]:
+    return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
+
+
+def same_bits(first: TrainResult, second: TrainResult) -> bool:
+    return (first.losses == second.losses and first.dumps == second.dumps and first.resamplings == second.resamplings
+            and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup))))
+
+
+def dump(soup, step: int) -> dict:
+    return {"step": step, "triangles": len(soup), "area": float(soup.vertices.detach().double().square().sum())}
+
+
+@pytest.fixture(scope="module")
+def trained(tiny_scene) -> TrainResult:
+    return train(tiny_scene, tiny_config(), evaluate=dump, device="cpu")
+
+
+def test_it_learns(trained, tiny_scene):
+    assert len(trained.losses) == STEPS and np.mean(trained.losses[-5:]) < 0.75 * np.mean(trained.losses[:5])
+
+    def holdout_psnr(soup):
+        return image_scores(render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.images[tiny_scene.holdout])["psnr"]
+
+    assert holdout_psnr(trained.soup) > holdout_psnr(initial_soup(tiny_scene.points, 600, 0)) + 1.5
+
+
+def test_history_of_a_run(trained):
+    assert [entry["step"] for entry in trained.dumps] == [20, 40, 60]
+    assert [entry["step"] for entry in trained.resamplings] == RESAMPLED
+    first = trained.resamplings[0]
+    assert (first["before"], first["pruned"]) == (600, 200)
+    for one, following in zip(trained.resamplings, trained.resamplings[1:]):
+        assert one["after"] >= one["pruned"] == 200 and following["before"] == one["after"]
+    assert len(trained.soup) == trained.resamplings[-1]["after"] == trained.dumps[-1]["triangles"]
+    assert set(trained.seconds) == {"photometric", "optimiser", "resample", "evaluate"} and trained.resumed_at is None
+
+
+def test_one_and_two_threads_give_the_same_bits(trained, tiny_scene):
+    before = thread_count()
+    try:
+        set_thread_count(2)
+        assert same_bits(trained, train(tiny_scene, tiny_config(), evaluate=dump, device="cpu"))
+    finally:
+        set_thread_count(before)
+
+
+def test_evaluation_and_progress_change_no_bit_and_another_seed_does(trained, tiny_scene):
+    steps = []
+    again = train(tiny_scene, tiny_config(), device="cpu", progress=lambda step, text: steps.append(step))
+    assert again.dumps == [] and same_bits(trained, replace(again, dumps=trained.dumps))
+    assert steps == list(range(1, STEPS + 1))
+    other = train(tiny_scene, tiny_config(seed=1, steps=12), device="cpu")
+    reference = train(tiny_scene, tiny_config(steps=12), device="cpu")
+    assert not set(other.losses) & set(reference.losses)
+    assert not torch.equal(other.soup.mlp[0], reference.soup.mlp[0])
+
+
+def test_a_given_resampler_is_used(tiny_scene):
+    result = train(tiny_scene, tiny_config(steps=12), device="cpu", resampler=Resampler(50, interval=5, split_until=0.0))
+    assert [(entry["step"], entry["after"]) for entry in result.resamplings] == [(5, 50), (10, 50)] and len(result.soup) == 50
+
+
+@pytest.mark.parametrize("count, batch", [(7, 4), (42, 4), (5, 5), (3, 8)])
+def test_batches_are_permutations_redrawn_each_epoch(count, batch):
+    train_views = np.arange(count) * 3
+    per_epoch = -(-count // batch)
+    epochs = [[batch_views(train_views, batch, 0, epoch * per_epoch + k + 1) for k in range(per_epoch)] for epoch in range(4)]
+    for epoch in epochs:
+        assert Counter(int(view) for views in epoch for view in views) == Counter(train_views.tolist())
+        assert [len(views) for views in epoch[:-1]] == [batch] * (per_epoch - 1)
+    assert len({tuple(np.concatenate(epoch)) for epoch in epochs}) > 1
+    assert not np.array_equal(np.concatenate(epochs[0]), np.concatenate(
+        [batch_views(train_views, batch, 1, k + 1) for k in range(per_epoch)])) or count == 3
+
+
+# --- the additive term ---------------------------------------------------------------------------------------------------------
+
+
+class FakeTerm:
+    """Pulls every corner along +x, hard; remembers how it was called."""
+
+    def __init__(self, weight: float | None = -1e3, stop_at: int | None = None) -> None:
+        self.weight, self.stop_at = weight, stop_at
+        self.calls: list[tuple] = []
+        self.log: list[dict] = []
+        self.total = 0.0
+
+    def refresh_if_due(self, step, vertices, opacity, resampled):
+        assert vertices.requires_grad and vertices.shape[1:] == (3, 3)
+        assert opacity.shape == vertices.shape[:2] and not opacity.requires_grad and 0 <= opacity.min() <= opacity.max() <= 1
+        self.calls.append((step, bool(resampled), len(vertices)))
+        return False
+
+    def value(self, step, vertices, photo_gradient_norm):
+        assert step == self.calls[-1][0] and photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5)
+        assert photo_gradient_norm() > 0
+        if step == self.stop_at:
+            raise KeyboardInterrupt
+        self.total += float(vertices.detach().sum())
+        return None if self.weight is None else self.weight * vertices[..., 0].sum()
+
+    def state(self):
+        return {"total": self.total}
+
+    def load_state(self, state):
+        self.total = state["total"]
+
+
+def test_a_term_is_called_each_step_from_zero_and_told_of_every_new_soup(trained, tiny_scene):
+    term = FakeTerm(weight=None)
+    result = train(tiny_scene, tiny_config(), term=term, evaluate=dump, device="cpu")
+    assert same_bits(trained, result)  # a term that gives None changes nothing
+    assert [step for step, _, _ in term.calls] == list(range(STEPS))
+    assert [step for step, resampled, _ in term.calls if resampled] == [0, *RESAMPLED]
+    sizes = [600] + [entry["after"] for entry in result.resamplings]
+    assert [count for step, _, count in term.calls if step % 10 == 0] == sizes
+    assert "topology" in result.seconds
+
+
+def test_a_terms_gradient_moves_the_vertices(tiny_scene):
+    start = initial_soup(tiny_scene.points, 600, 0).vertices
+    config = tiny_config(steps=1)
+    moved = train(tiny_scene, config, term=FakeTerm(), device="cpu").soup.vertices - start
+    rate = config.vertex_lr * tiny_scene.radius * config.final_lr
+    expected = torch.tensor([rate, 0.0, 0.0]).expand_as(moved)  # beside 1e3 along x the photometric gradient is nothing
+    torch.testing.assert_close(moved, expected, rtol=1e-3, atol=1e-3 * rate)
+    alone = train(tiny_scene, config, device="cpu").soup.vertices - start
+    assert not torch.allclose(alone, expected, atol=0.1 * rate)
+
+
+def test_a_terms_state_is_saved_and_restored(tiny_scene, tmp_path):
+    config, checkpoint = tiny_config(steps=40), tmp_path / "run.pt"
+    whole, term = FakeTerm(-1.0), FakeTerm(-1.0, stop_at=26)
+    expected = train(tiny_scene, config, term=whole, device="cpu")
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny_scene, config, term=term, checkpoint=checkpoint, device="cpu")
+    assert [file.name for file in tmp_path.iterdir()] == ["run.pt"]
+    resumed = FakeTerm(-1.0)
+    result = train(tiny_scene, config, term=resumed, checkpoint=checkpoint, device="cpu")
+    assert result.resumed_at == 20 and same_bits(expected, result)
+    assert resumed.calls[0][:2] == (20, True) and resumed.calls == whole.calls[20:] and resumed.total == whole.total
+
+
+def test_without_a_term_none_of_its_code_is_imported(tiny_results):
+    program = f"""
+import sys
+from pathlib import Path
+from tests.tiny_run import tiny_config
+from paper_artifact.scene.load import load_scene
+from paper_artifact.train.loop import train
+scene = load_scene(next(Path({str(tiny_results)!r}).glob("scenes/*")))
+assert len(train(scene, tiny_config(steps=2), device="cpu").losses) == 2
+print(*sorted(name for name in sys.modules if name.startswith(("paper_artifact.topology", "gudhi"))))
+"""
+    result = subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
+    assert (result.returncode, result.stdout.strip()) == (0, ""), result.stderr
+
+
+# --- resuming ------------------------------------------------------------------------------------------------------------------
+
+# Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
+KILLED = """
+import os, signal, sys
+import torch
+from paper_artifact import cli
+from paper_artifact.train import loop
+where, arguments = sys.argv[1], sys.argv[2:]
+def kill():
+    os.kill(os.getpid(), signal.SIGKILL)
+batch_views, save = loop.batch_views, torch.save
+def at_step(train, batch, seed, step):
+    if step == 37 and where == "step":
+        kill()
+    return batch_views(train, batch, seed, step)
+def half(state, path):
+    if state["step"] == 40:
+        save(state, path)
+        os.truncate(path, os.path.getsize(path) // 2)
+        kill()
+    save(state, path)
+loop.batch_views = at_step
+if where == "write":
+    torch.save = half
+cli.main(arguments)
+"""
+
+
+def without_circumstances(record: dict) -> dict:
+    return {name: value for name, value in record.items() if name not in ("timings", "host", "resumed_at", "cpu_seconds", "digest")}
+
+
+def arguments(condition: str, folder) -> list[str]:
+    extra = ["--condition=C1", "--set=topology=(('samples',512),)"] if condition == "C1" else []
+    return [*tiny_arguments(), *extra, f"--results={folder}"]
+
+
+@pytest.fixture(scope="module")
+def whole_runs(tiny_results, tmp_path_factory):
+    """{condition: (results folder, record)} of tiny runs by the command line, never stopped."""
+    runs = {}
+    for condition in ("C0", "C1"):
+        folder = tmp_path_factory.mktemp("whole") / "results"
+        shutil.copytree(tiny_results, folder)
+        assert cli.main(arguments(condition, folder)) == 0
+        (record,) = find_records(folder / "runs", condition=condition)
+        runs[condition] = folder, record
+    return runs
+
+
+@pytest.mark.parametrize("condition, where", [("C0", "write"), ("C1", "step")])
+def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whole_runs, tiny_results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(tiny_results, folder)
+    killed = subprocess.run([sys.executable, "-c", KILLED, where, *arguments(condition, folder)], cwd=REPOSITORY, capture_output=True,
+                            text=True, timeout=300)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert not list((folder / "runs").iterdir())
+    (checkpoint,) = (folder / "checkpoints").glob("[!.]*.pt")  # a dot file is what the kill left of the one being written
+    assert cli.main(arguments(condition, folder)) == 0
+    assert not checkpoint.exists()
+
+    whole_folder, expected = whole_runs[condition]
+    (record,) = find_records(folder / "runs")
+    assert expected["resumed_at"] is None and record["resumed_at"] == 30
+    assert without_circumstances(record) == without_circumstances(expected)
+    assert record["tails"]["steps"] == [20, 40, 60] and len(record["losses"]["loss"]) == STEPS
+    if condition == "C1":
+        assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [13, 20, 30]
+    (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
+    assert first.name == second.name
+    assert all(torch.equal(a, b) for a, b in zip(parts(load_soup(first)), parts(load_soup(second))))
+
+
+def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
+    folder, record = whole_runs["C0"]
+    monkeypatch.setattr("paper_artifact.train.run.train", None)  # calling it would fail
+    assert run(tiny_config(), results=folder) == record
+    assert cli.main([*tiny_arguments(), f"--results={folder}"]) == 0
+    printed = capsys.readouterr().out
+    assert "sphere C0 seed 0" in printed and "held-out PSNR" in printed and str(folder / "runs") in printed
+
+
+def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, tmp_path):
+    path, config = tmp_path / "run.pt", tiny_config(steps=12)
+    train(tiny_scene, config, checkpoint=path, device="cpu")
+    data = path.read_bytes()
+    assert read_checkpoint(path, config).step == 10 and read_checkpoint(tmp_path / "none.pt", config) is None
+
+    with pytest.raises(InputError, match="belongs to another configuration"):
+        train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")
+    state = torch.load(path, weights_only=True)
+    torch.save({name: value for name, value in state.items() if name != "losses"}, path)
+    with pytest.raises(InputError, match="run.pt is damaged"):
+        train(tiny_scene, config, checkpoint=path, device="cpu")
+    for bad in (data[: len(data) // 2], b"", b"no checkpoint at all"):
+        path.write_bytes(bad)
+        with pytest.raises(InputError, match="run.pt is damaged"):
+            train(tiny_scene, config, checkpoint=path, device="cpu")
+
+
+# --- what goes wrong -----------------------------------------------------------------------------------------------------------
+
+
+class BadTerm(FakeTerm):
+    """Fine until step 3 (from 1: 4), then not a number, in its value or in its gradient only."""
+
+    def __init__(self, gradient_only: bool) -> None:
+        super().__init__()
+        self.gradient_only = gradient_only
+
+    def value(self, step, vertices, photo_gradient_norm):
+        if step < 3:
+            return None
+        return torch.sqrt(0 * vertices.sum()) if self.gradient_only else vertices.sum() * torch.nan
+
+
+@pytest.mark.parametrize("changes, term, words", [
+    ({"mlp_lr": 1e30}, None, r"the loss of step 2 is nan"),
+    ({}, BadTerm(gradient_only=False), r"the added loss term of step 4 is nan"),
+    ({}, BadTerm(gradient_only=True), r"vertices are not finite after step 4"),
+])
+def test_what_is_not_finite_stops_the_run_and_names_the_step(changes, term, words, tiny_scene, tmp_path):
+    with pytest.raises(TrainingError, match=words):
+        train(tiny_scene, tiny_config(**changes), term=term, checkpoint=tmp_path / "run.pt", device="cpu")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys):
+    shutil.copytree(tiny_results, tmp_path / "results")
+    assert cli.main([*tiny_arguments(), "--set=mlp_lr=1e30", f"--results={tmp_path / 'results'}"]) == 1
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1 and "the loss of step 2 is nan" in error
+    assert not list((tmp_path / "results" / "runs").iterdir()) and not (tmp_path / "results" / "soups").exists()
+
+
+def test_a_scene_without_training_views_is_refused(tiny_scene):
+    with pytest.raises(InputError, match="no training views"):
+        train(replace(tiny_scene, train=np.array([], np.int64)), tiny_config(), device="cpu")
+
+
+def test_devices(tiny_scene, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert isinstance(backend_for("auto", tiny_scene, tiny_scene.train), CpuBackend)
+    with pytest.raises(InputError, match="no CUDA device here"):
+        backend_for("cuda", tiny_scene, tiny_scene.train)
+    with pytest.raises(InputError, match="unknown device 'tpu'"):
+        train(tiny_scene, tiny_config(), device="tpu")
+
+
+@pytest.mark.parametrize("changes, words", [
+    ({"steps": 0}, "steps must be at least 1"), ({"steps": -5}, "steps must be at least 1"), ({"budget": 0}, "budget must be"),
+    ({"seed": -1}, "seed must not be negative"), ({"size": 21}, "at least 22 pixels"), ({"vertex_lr": 0.0}, "vertex_lr must be positive"),
+    ({"mlp_lr": float("nan")}, "mlp_lr must be positive"), ({"vertex_lr": float("inf")}, "finite"),
+    ({"background": "grey"}, "white or black"), ({"dump_steps": (10, 2501)}, "dump_steps must"), ({"dump_steps": 5}, "dump_steps must"),
+    ({"topology": 3}, "topology must"), ({"colour": 1}, "unknown configuration colour"),
+])
+def test_a_configuration_out_of_range_is_refused(changes, words):
+    with pytest.raises(InputError, match=words):
+        default_config("sphere", **changes)
+
+
+def test_defaults_are_the_papers():
+    config = default_config("torus")
+    assert (config.budget, config.steps, config.batch, config.resample_every) == (700, 2500, 4, 100)
+    assert config.initial_ratio * config.budget > 1000  # thousands of initial points: the whole effect hangs on it (trainer.md)
+    assert config.dump_steps[-3:] == (2300, 2400, 2500)
+    assert default_config("sphere", steps=250).dump_steps[-3:] == (230, 240, 250)
+    assert default_config("sphere", steps=2).dump_steps == (1, 2)
+    assert RunConfig("a.obj").budget == default_config("a.obj").budget == 1200
+
+
+# --- the twin ------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_twin_backend_gives_the_cpu_backends_step(trained, tiny_scene):
+    views = batch_views(tiny_scene.train, 4, 0, 1)
+    keys = [view_key(0, 1, int(view)) for view in views]
+    results = []
+    for backend in (CpuBackend(tiny_scene, tiny_scene.train), TwinBackend(tiny_scene, tiny_scene.train, "cpu", torch.float64)):
+        soup = backend.to_device(trained.soup.select(torch.arange(len(trained.soup))))
+        for tensor in soup.mlp:
+            tensor.grad = None
+        loss = backend.photometric_step(soup, views, keys)
+        results.append((loss, [tensor.grad.double().flatten() for tensor in parts(soup)]))
+        assert all(tensor.dtype == torch.float32 for tensor in parts(backend.to_host(soup)))
+    (loss, gradients), (twin_loss, twin_gradients) = results
+    assert abs(loss - twin_loss) < 1e-4
+    for mine, theirs in zip(gradients, twin_gradients):
+        assert theirs.norm() > 0
+        assert torch.nn.functional.cosine_similarity(mine, theirs, dim=0) > 0.999
+        assert float(mine.norm() / theirs.norm()) == pytest.approx(1, abs=0.01)
