@@ -14,8 +14,8 @@ from scipy.spatial import Delaunay
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology import delaunay, ordering, predicates
-from paper_artifact.topology.expansions import WORKSPACE, evaluate, exact_sign
+from paper_artifact.topology import delaunay, filtration, ordering, predicates
+from paper_artifact.topology.expansions import WORKSPACE, evaluate, exact
 from paper_artifact.topology.persistence import Pairs, alpha_persistence
 
 WS = np.empty(WORKSPACE)
@@ -278,15 +278,15 @@ def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
 
 
 def near_degenerate(k: int) -> np.ndarray:
-    """Five points of a lattice or a plane or a sphere, some of them off by a few units in the last place."""
+    """Five points of a lattice or a plane or a sphere, some of them off by little."""
     rng = draw(f"predicate {k}")
     points = [rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3)), sphere(5000)[5 * k % 4000 :][:5]][k % 3].copy()
-    return points + rng.integers(-2, 3, (5, 3)) * 2.0**-53 * (k % 2)
+    return points + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
 @pytest.mark.parametrize("part", range(3))
 def test_predicates_have_the_sign_of_rational_arithmetic(part):
-    for k in range(part, 150, 3):
+    for k in range(part, 600, 3):
         points = near_degenerate(k)
         orient = determinant(fractions(points[:4], 3))
         assert np.sign(predicates.orient3d(points, 0, 1, 2, 3, WS)) == np.sign(orient)
@@ -311,14 +311,31 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
             assert predicates.triangle_excludes(points, 3, 1, 2, 0, WS) == (power >= 0)
 
 
-def test_double_doubles_agree_with_exact_expansions():
-    for k in range(60):
-        points = near_degenerate(3 * k + 1)
-        rows = np.arange(5)
-        value = evaluate(points, rows, predicates.INSPHERE, np.empty((12 + len(predicates.INSPHERE), 2)))
-        exact = determinant([[*v, sum(x * x for x in v)] for v in fractions(points, 4)])
-        assert abs(value - exact) <= 1e-29 * 30
-        assert exact_sign(points, rows, predicates.INSPHERE, WS) == np.sign(exact)
+def test_double_doubles_and_expansions_agree_with_rational_arithmetic():
+    values = np.empty((12 + len(predicates.INSPHERE), 2))
+    for k in range(90):
+        points, rows = near_degenerate(k), np.arange(5)
+        truth = determinant([[*v, sum(x * x for x in v)] for v in fractions(points, 4)])
+        assert abs(evaluate(points, rows, predicates.INSPHERE, values) - truth) <= 1e-29 * 30
+        assert exact(points, rows, predicates.INSPHERE, WS, values) == pytest.approx(float(truth), rel=1e-15, abs=0)
+
+
+def test_circumradii_of_flat_simplices_agree_with_rational_arithmetic():
+    for k in range(1, 400, 2):
+        points = near_degenerate(k)
+        u, v, w = fractions(points[:4], 0)
+        det = determinant([u, v, w])
+        cross = lambda p, q: [p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)]  # noqa: E731
+        dot = lambda p, q: sum(x * y for x, y in zip(p, q))  # noqa: E731
+        if det != 0:
+            terms = zip(cross(v, w), cross(w, u), cross(u, v))
+            centre = [(dot(u, u) * x + dot(v, v) * y + dot(w, w) * z) / (2 * det) for x, y, z in terms]
+            assert filtration.tetrahedron_value(points, 0, 1, 2, 3, WS) == pytest.approx(float(dot(centre, centre)), rel=1e-10)
+        area = dot(cross(u, v), cross(u, v))
+        if area != 0:
+            third = [x - y for x, y in zip(u, v)]
+            radius = dot(u, u) * dot(v, v) * dot(third, third) / (4 * area)
+            assert filtration.triangle_value(points, 0, 1, 2, WS) == pytest.approx(float(radius), rel=1e-10)
 
 
 # the parts

@@ -174,9 +174,12 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
     return n
 
 
-@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1]), cache=True, nogil=True)
-def exact_sign(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray) -> float:
-    """The sign (-1., 0. or 1.) of a formula of the vectors points[rows[i]] - points[rows[-1]]."""
+@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1], float64[:, ::1]), cache=True, nogil=True)
+def exact(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray) -> float:
+    """A formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded: the sign is right, the error below 2^-51.
+
+    values: (registers, 2) float64, filled with every step's rounded value (and 0).
+    """
     vectors = len(rows) - 1
     loc = np.empty((3 * vectors + len(steps), 2), dtype=np.int64)
     top = 0
@@ -207,9 +210,11 @@ def exact_sign(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.n
         loc[out, 0] = top
         loc[out, 1] = n
         top += n
-    if loc[out, 1] == 0:
-        return 0.0
-    return 1.0 if ws[top - 1] > 0.0 else -1.0
+        total = 0.0
+        for k in range(max(0, n - 4), n):  # components do not overlap: the last ones are the number
+            total += ws[top - n + k]
+        values[out, 0], values[out, 1] = total, 0.0
+    return values[out, 0]
 
 
 @njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[:, ::1]), cache=True, nogil=True)

@@ -3,9 +3,8 @@
 A tetrahedron has its squared circumradius; a triangle or edge its own if it is Gabriel (no coface's opposite vertex strictly inside its
 smallest circumsphere; decided exactly), else the smallest value of its cofaces. A value never exceeds a coface's.
 
-Accuracy: squared circumradii carry a relative error below 1e-10 when the simplex is well shaped, judged by its determinant, and are
-evaluated in double-doubles otherwise. Only critical simplices, which contain their circumcentre, set bars of positive length, and
-theirs is at most their longest edge; the huge spheres of flat tetrahedra on the hull are never critical, so their accuracy is free.
+Accuracy: float64 for a well-shaped simplex, judged by its determinant; double-doubles for a flat one; exact expansions for one flat
+beyond that. Squared radii carry a relative error below 1e-10, mostly 1e-15.
 """
 
 from __future__ import annotations
@@ -13,39 +12,39 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.expansions import Formula, evaluate
+from paper_artifact.topology.expansions import Formula, evaluate, exact
 from paper_artifact.topology.predicates import edge_excludes, triangle_excludes
 
-FLAT = 1e-4  # relative determinant below which a circumradius is evaluated in double-doubles
+FLAT = 1e-4  # relative determinant below which a circumradius is evaluated in double-doubles (float64: 1e-15 / FLAT at most)
+FLATTER = 1e-18  # ... and in exact expansions (double-doubles: 1e-30 / FLATTER at most)
 
 
-def _circumcentre() -> np.ndarray:
-    """Of a tetrahedron with difference vectors u, v, w: the squared numerator vector |N|² and, last, the determinant u·(v x w)."""
+def _circumcentre() -> tuple[np.ndarray, np.ndarray]:
+    """Steps for a tetrahedron with difference vectors u, v, w, and the registers of N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), twice
+    the determinant times the vector to the circumcentre; the determinant u·(v x w) comes last."""
     formula = Formula(3)
     u, v, w = formula.inputs
     vw, wu, uv = formula.cross(v, w), formula.cross(w, u), formula.cross(u, v)
-    uu, vv, ww = formula.dot(u, u), formula.dot(v, v), formula.dot(w, w)
-    centre = [formula.dot((uu, vv, ww), (vw[k], wu[k], uv[k])) for k in range(3)]
-    formula.dot(centre, centre)
+    lengths = (formula.dot(u, u), formula.dot(v, v), formula.dot(w, w))
+    centre = [formula.dot(lengths, (vw[k], wu[k], uv[k])) for k in range(3)]
     formula.dot(u, vw)
-    return formula.steps()
+    return formula.steps(), np.array(centre, dtype=np.int64)
 
 
-def _area() -> np.ndarray:
-    """Of a triangle with difference vectors u, v: |u x v|²."""
+def _normal() -> tuple[np.ndarray, np.ndarray]:
+    """Steps for a triangle with difference vectors u, v, and the registers of u x v."""
     formula = Formula(2)
     normal = formula.cross(*formula.inputs)
-    formula.dot(normal, normal)
-    return formula.steps()
+    return formula.steps(), np.array(normal, dtype=np.int64)
 
 
-TETRAHEDRON, AREA = _circumcentre(), _area()
-_CENTRE = 9 + len(TETRAHEDRON) - 6  # register of |N|²: the determinant takes the last five steps
+TETRAHEDRON, CENTRE = _circumcentre()
+TRIANGLE, NORMAL = _normal()
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64)", cache=True, nogil=True)
-def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int) -> float:
-    """Squared circumradius of a tetrahedron given by row indices; infinite when it overflows."""
+@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
+    """Squared circumradius of a tetrahedron that is not exactly flat, given by row indices; infinite when it overflows."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
@@ -58,15 +57,18 @@ def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int) -> flo
         z = uu * pz + vv * (wx * uy - wy * ux) + ww * (ux * vy - uy * vx)
         return (x * x + y * y + z * z) / (4.0 * det * det)
     values = np.empty((9 + len(TETRAHEDRON), 2))
-    det = evaluate(points, np.array([b, c, d, a]), TETRAHEDRON, values)
-    if det == 0.0:
-        return np.inf
-    return values[_CENTRE, 0] / det / (4.0 * det)
+    rows = np.array([b, c, d, a])
+    det = evaluate(points, rows, TETRAHEDRON, values)
+    if det * det < FLATTER * FLATTER * uu * vv * ww:
+        det = exact(points, rows, TETRAHEDRON, ws, values)
+    half = 0.5 / det
+    x, y, z = values[CENTRE[0], 0] * half, values[CENTRE[1], 0] * half, values[CENTRE[2], 0] * half
+    return x * x + y * y + z * z
 
 
-@njit("float64(float64[:,::1], int64, int64, int64)", cache=True, nogil=True)
-def triangle_value(points: np.ndarray, a: int, b: int, c: int) -> float:
-    """Squared circumradius of a triangle given by row indices; infinite when its corners are collinear up to rounding."""
+@njit("float64(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
+    """Squared circumradius of a triangle whose corners are not exactly collinear, given by row indices."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
@@ -74,9 +76,13 @@ def triangle_value(points: np.ndarray, a: int, b: int, c: int) -> float:
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     area = x * x + y * y + z * z
     if area <= FLAT * FLAT * uu * vv:
-        area = evaluate(points, np.array([b, c, a]), AREA, np.empty((6 + len(AREA), 2)))
-        if area <= 0.0:
-            return np.inf
+        values = np.empty((6 + len(TRIANGLE), 2))
+        rows = np.array([b, c, a])
+        evaluate(points, rows, TRIANGLE, values)
+        area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
+        if area < FLATTER * FLATTER * uu * vv:
+            exact(points, rows, TRIANGLE, ws, values)
+            area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
     return uu * vv / area * ww / 4.0
 
 
@@ -156,7 +162,7 @@ def values(
     m, k, e = len(cells), len(triangles), len(edges)
     cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.empty(e)
     for t in range(m):
-        cell_values[t] = tetrahedron_value(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
+        cell_values[t] = tetrahedron_value(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], ws)
     edge_gabriel = np.ones(e, dtype=np.bool_)
     for f in range(k):
         a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
@@ -170,7 +176,7 @@ def values(
                 for i in range(4):
                     if of_cell[t, i] == f:
                         gabriel = triangle_excludes(points, a, b, c, cells[t, i], ws)
-        triangle_values[f] = min(triangle_value(points, a, b, c), least) if gabriel else least
+        triangle_values[f] = min(triangle_value(points, a, b, c, ws), least) if gabriel else least
         for i in range(3):
             if edge_gabriel[of_triangle[f, i]]:
                 u, v = triangles[f, (i + 1) % 3], triangles[f, (i + 2) % 3]

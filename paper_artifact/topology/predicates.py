@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.expansions import ADD, MULTIPLY, Formula, evaluate, exact_sign
+from paper_artifact.topology.expansions import ADD, MULTIPLY, Formula, evaluate, exact
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
 INSPHERE_BOUND = 1.7763568394002532e-15  # (16 + 224 u) u
 INSPHERE_STATIC = 4.5e-14  # times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units
 DOT_BOUND = 1e-15  # above (5 + small) u for a sum of three products of rounded differences
-GABRIEL_BOUND = 2e-14  # times |u|²|v|²|w|²: six terms of at most 1 in this unit, each with at most 18 u
+GABRIEL_BOUND = 1.3e-14  # times |u||v|²|w|² max(|u|, |v|, |w|): six terms of at most 1 in this unit, each with at most 18 u
 DD_BOUND = 1e-29  # 800 times 2^-106: more than a thousand rounding errors of double-double operations
 
 
@@ -73,7 +73,7 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
         return det
     if permanent == 0.0 and (adz == 0.0 and bdz == 0.0 and cdz == 0.0):
         return 0.0
-    return exact_sign(points, np.array([a, b, c, d]), ORIENT, ws)
+    return exact(points, np.array([a, b, c, d]), ORIENT, ws, np.empty((9 + len(ORIENT), 2)))
 
 
 @njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
@@ -120,11 +120,12 @@ def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.
     if det > bound or -det > bound:
         return det
     rows = np.array([a, b, c, d, e])
-    det = evaluate(points, rows, INSPHERE, np.empty((12 + len(INSPHERE), 2)))
+    values = np.empty((12 + len(INSPHERE), 2))
+    det = evaluate(points, rows, INSPHERE, values)
     bound = DD_BOUND * permanent
     if det > bound or -det > bound:
         return det
-    return exact_sign(points, rows, INSPHERE, ws)
+    return exact(points, rows, INSPHERE, ws, values)
 
 
 @njit("boolean(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
@@ -139,7 +140,7 @@ def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) ->
         return True
     if -dot > bound:
         return False
-    return exact_sign(points, np.array([a, b, c]), EDGE, ws) >= 0.0
+    return exact(points, np.array([a, b, c]), EDGE, ws, np.empty((6 + len(EDGE), 2))) >= 0.0
 
 
 @njit("boolean(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
@@ -155,16 +156,18 @@ def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np
     uu, vv, ww = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
     uv, uw, vw = ux * vx + uy * vy + uz * vz, ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     value = uu * (vv * ww - vw * vw) + vv * (vw * uw - ww * uv) + ww * (uv * vw - vv * uw)
-    bound = GABRIEL_BOUND * uu * vv * ww
+    unit = vv * ww * np.sqrt(uu * max(uu, max(vv, ww)))
+    bound = GABRIEL_BOUND * unit
     if value > bound:
         return True
     if -value > bound:
         return False
     rows = np.array([a, c, d, b])
-    value = evaluate(points, rows, TRIANGLE, np.empty((9 + len(TRIANGLE), 2)))
-    bound = DD_BOUND * uu * vv * ww
+    values = np.empty((9 + len(TRIANGLE), 2))
+    value = evaluate(points, rows, TRIANGLE, values)
+    bound = DD_BOUND * unit
     if value > bound:
         return True
     if -value > bound:
         return False
-    return exact_sign(points, rows, TRIANGLE, ws) >= 0.0
+    return exact(points, rows, TRIANGLE, ws, values) >= 0.0
