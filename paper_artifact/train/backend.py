@@ -86,12 +86,17 @@ class TwinBackend:
         return loss.item()
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray):
-    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError for anything else, or no such device."""
+def check_device(device: str) -> None:
+    """Raise InputError unless `device` is "cpu", "auto", or "cuda" where there is one."""
     if device not in ("cpu", "cuda", "auto"):
         raise InputError(f"unknown device {device!r}; choose cpu, cuda or auto")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("no CUDA device here; use --device cpu (or auto)")
+
+
+def backend_for(device: str, scene: Scene, views: np.ndarray):
+    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
+    check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
         return CpuBackend(scene, views)
     return TwinBackend(scene, views, "cuda")

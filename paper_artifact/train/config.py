@@ -51,14 +51,15 @@ class RunConfig:
     topology: tuple[tuple[str, Any], ...] = ()  # the condition's own parameters, sorted (name, value) pairs
 
     def __post_init__(self) -> None:
-        for name in ("steps", "budget", "views", "size", "batch", "resample_every", "samples"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        lowest = {"steps": 1, "budget": 1, "views": 2, "batch": 1, "resample_every": 1, "split_views": 0, "samples": 4}
+        for name, least in lowest.items():
+            if getattr(self, name) < least:
+                raise InputError(f"{name} must be at least {least}, got {getattr(self, name)}")
         if self.seed < 0:
             raise InputError(f"seed must not be negative, got {self.seed}")
         if self.size < 22:
             raise InputError(f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}")
-        for name in ("vertex_lr", "feature_lr", "opacity_lr", "mlp_lr", "final_lr", "initial_ratio"):
+        for name in ("vertex_lr", "feature_lr", "opacity_lr", "mlp_lr", "final_lr", "initial_ratio", "split_height"):
             if not 0 < getattr(self, name) < math.inf:
                 raise InputError(f"{name} must be positive and finite, got {getattr(self, name)}")
         if self.background not in ("white", "black"):

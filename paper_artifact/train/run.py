@@ -24,6 +24,7 @@ from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scen
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.soup.state import Soup, save_soup
+from paper_artifact.train.backend import check_device
 from paper_artifact.train.config import RunConfig
 from paper_artifact.train.loop import train
 
@@ -92,6 +93,7 @@ def run(config: RunConfig, *, mesh: Mesh | None = None, results: Path = RESULTS,
     results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even if recorded.
     Raises InputError for bad input or a folder that is not writable, before any training.
     """
+    check_device(device)
     mesh = mesh if mesh is not None else find_mesh(config.shape)
     config = with_condition(config, mesh)
     path = record_path(config, results / "runs")
