@@ -1,0 +1,104 @@
+"""A procedural hot pot with a flue, in the role of the paper's tom-yum pot, which is not public.
+
+Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with 12-gons, junction edges where three
+shells meet, no inside. After ingest it is one body of genus 3: two slot handles and one vent slot give six thin loops, and the flue with
+its narrow mouth is open, so that its chamber is a void only to a measurement. It is a stand-in, not the paper's pot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from paper_artifact.ingest.solidify import Solid, solidify
+from paper_artifact.mesh import Mesh, checked_mesh
+
+NAME = "pot"
+OFFSET = 0.0065  # ε / diagonal of the raw pot
+CELLS = 2.0
+
+AROUND = 60  # segments of body and foot
+SIDES = 12  # of the flue and of the handles' cross-section
+FLOOR_RADIUS, RIM_RADIUS, RIM_HEIGHT, FOOT_DEPTH = 0.22, 0.40, 0.22, 0.10
+FLUE_RADIUS, MOUTH_RADIUS, FLUE_HEIGHT, SHOULDER_HEIGHT, NECK_HEIGHT = 0.0955, 0.036, 0.24, 0.30, 0.33
+HANDLE_GAP, HANDLE_TUBE, HANDLE_ANGLE, HANDLE_HEIGHT = 0.036, 0.012, 0.30, 0.10
+
+
+@dataclass(frozen=True, eq=False)
+class RawPot:
+    """vertices (V,3) float64, model units; polygons: vertex indices of each, 4 or 12 of them; shell (len(polygons),) int64: 0..8."""
+
+    vertices: np.ndarray
+    polygons: tuple[tuple[int, ...], ...]
+    shell: np.ndarray
+
+    def obj(self) -> str:
+        """The pot as Wavefront OBJ text, polygons kept, one group per shell."""
+        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.vertices.tolist()]
+        for number in range(int(self.shell.max()) + 1):
+            lines.append(f"g shell_{number}")
+            lines += ["f " + " ".join(str(i + 1) for i in self.polygons[k]) for k in np.flatnonzero(self.shell == number)]
+        return "\n".join(lines) + "\n"
+
+    def mesh(self) -> Mesh:
+        """The pot as a Mesh: polygons split by the fan 0–2, points not welded."""
+        faces = [(p[0], p[i], p[i + 1]) for p in self.polygons for i in range(1, len(p) - 1)]
+        return checked_mesh(self.vertices, np.array(faces), NAME, welded=False)
+
+
+def raw_pot() -> RawPot:
+    """Build the raw pot: wall, floor, foot with a vent slot, flue chamber, flue neck, flue bottom, two handles, rolled rim."""
+    shells = [
+        _revolve([(FLOOR_RADIUS, 0.0), (0.265, 0.055), (0.31, 0.11), (0.355, 0.165), (RIM_RADIUS, RIM_HEIGHT)], AROUND),
+        _revolve([(FLOOR_RADIUS, 0.0), (0.16, 0.0), (0.10, 0.0), (0.05, 0.0)], AROUND),
+        _revolve([(FLOOR_RADIUS, 0.0), (0.223, -0.03), (0.227, -0.066), (0.23, -FOOT_DEPTH)], AROUND, leave_out={(1, 14), (1, 15), (1, 16)}),
+        _revolve([(FLUE_RADIUS, 0.0), (FLUE_RADIUS, FLUE_HEIGHT / 2), (FLUE_RADIUS, FLUE_HEIGHT)], SIDES),
+        _revolve([(FLUE_RADIUS, FLUE_HEIGHT), (MOUTH_RADIUS, SHOULDER_HEIGHT), (MOUTH_RADIUS, NECK_HEIGHT)], SIDES),
+        (_ring(FLUE_RADIUS, 0.0, SIDES), [tuple(range(SIDES))]),
+        _handle(0.0), _handle(np.pi),
+        _revolve([(RIM_RADIUS, RIM_HEIGHT), (0.425, 0.21), (0.415, 0.175), (0.355, 0.165)], AROUND),
+    ]
+    vertices, polygons, owner = [], [], []
+    for number, (points, faces) in enumerate(shells):
+        start = sum(len(each) for each in vertices)
+        vertices.append(points)
+        polygons += [tuple(start + i for i in face) for face in faces]
+        owner += [number] * len(faces)
+    return RawPot(np.concatenate(vertices), tuple(polygons), np.array(owner))
+
+
+def pot_solid() -> Solid:
+    """Ingest the raw pot with the offset that its loops and its flue are tuned to."""
+    return solidify(raw_pot().mesh(), OFFSET, CELLS)
+
+
+def _ring(radius: float, height: float, count: int) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], axis=1)
+
+
+def _revolve(profile: list[tuple[float, float]], count: int, leave_out: set[tuple[int, int]] = frozenset()):
+    """Quads between the rings of a (radius, height) profile around the z axis; leave_out: (band, segment) without a quad."""
+    points = np.concatenate([_ring(radius, height, count) for radius, height in profile])
+    faces = [(b * count + i, b * count + (i + 1) % count, (b + 1) * count + (i + 1) % count, (b + 1) * count + i)
+             for b in range(len(profile) - 1) for i in range(count) if (b, i) not in leave_out]
+    return points, faces
+
+
+def _handle(direction: float):
+    """A bar that stands off the wall and meets it at both ends: a 12-sided tube, capped at one end, open at the other."""
+    wall = FLOOR_RADIUS + (RIM_RADIUS - FLOOR_RADIUS) * HANDLE_HEIGHT / RIM_HEIGHT
+    angles = direction + HANDLE_ANGLE * np.array([-1, -1, -0.5, 0, 0.5, 1, 1])
+    radii = wall + np.array([0.0, 1, 1, 1, 1, 1, 0]) * (HANDLE_GAP + HANDLE_TUBE)
+    path = np.stack([radii * np.cos(angles), radii * np.sin(angles), np.full(7, HANDLE_HEIGHT)], axis=1)
+    steps = np.diff(path, axis=0) / np.linalg.norm(np.diff(path, axis=0), axis=1, keepdims=True)
+    tangent = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0])
+    turn = 2 * np.pi * np.arange(SIDES) / SIDES
+    points = np.concatenate([p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up))
+                             for p, t in zip(path, tangent)])
+    faces = [(b * SIDES + i, b * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + i)
+             for b in range(len(path) - 1) for i in range(SIDES)]
+    return points, faces + [tuple(range(SIDES))]
