@@ -43,6 +43,16 @@ class FusedStep:
         self.height, self.width = height, width
         self._background = np.asarray(background, np.float32)[:, None]
         self._free: queue.SimpleQueue[_Workspace] = queue.SimpleQueue()
+        self._out: list[np.ndarray] = []
+
+    def _zeroed(self, count: int, triangles: int) -> list[np.ndarray]:
+        # Gradient buffers per view, kept between steps: fresh ones would be fresh pages of memory each time.
+        if not self._out or self._out[0].shape[0] < count or self._out[0].shape[1] != triangles:
+            self._out = [np.empty((count, triangles, *shape), np.float32) for shape in ((3, 3), (3, 7), (3,))]
+        views = [array[:count] for array in self._out]
+        for array in views:
+            array.fill(0.0)
+        return views
 
     def __call__(self, vertices: np.ndarray, features: np.ndarray, opacity: np.ndarray, mlp: tuple[np.ndarray, ...], matrices: np.ndarray,
                  rays: np.ndarray, targets: list[np.ndarray], statistics: list[tuple[np.ndarray, np.ndarray]], keys: list[int]
@@ -55,7 +65,7 @@ class FusedStep:
         count, triangles = len(keys), len(vertices)
         corners = np.ascontiguousarray(vertices.reshape(-1, 3))
         faces = np.arange(3 * triangles, dtype=np.int32).reshape(-1, 3)
-        out = [np.zeros((count, *shape), np.float32) for shape in ((triangles, 3, 3), (triangles, 3, 7), (triangles, 3))]
+        out = self._zeroed(count, triangles)
         out_mlp = [np.zeros((count, *array.shape), np.float32) for array in mlp]
         weight = np.float32(1.0 / (count * 3 * self.height * self.width))
 

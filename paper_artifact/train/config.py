@@ -37,7 +37,7 @@ class RunConfig:
     size: int = 200
     background: str = "white"
     batch: int = 4
-    vertex_lr: float = 9e-3
+    vertex_lr: float = 1e-2
     feature_lr: float = 5e-2
     opacity_lr: float = 5e-2
     mlp_lr: float = 1e-2
