@@ -71,13 +71,17 @@ def trajectories(table: pd.DataFrame, values: Mapping[str, str], by: str = "cond
 
 
 def draw_diagram(axis: Axes, bars: np.ndarray, floor: float, limit: float, target: np.ndarray | None = None, title: str = "") -> None:
-    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it, and the target's bars as stars."""
+    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large dots),
+    and the target's bars as stars."""
+    margin = 0.04 * limit
     axis.plot([0, limit], [0, limit], color="black", linewidth=0.7)
     axis.plot([0, limit], [floor, limit + floor], color="black", linewidth=0.6, linestyle=":")
-    axis.scatter(bars[:, 0], bars[:, 1], s=7, color="#1f5fbf", linewidths=0)
+    above = bars[:, 1] - bars[:, 0] > floor
+    axis.scatter(bars[~above, 0], bars[~above, 1], s=5, color="#7fa8dc", linewidths=0)
+    axis.scatter(bars[above, 0], bars[above, 1], s=26, color="#1f5fbf", linewidths=0)
     if target is not None and len(target):
-        axis.scatter(target[:, 0], target[:, 1], marker="*", s=70, facecolor="none", edgecolor="#c0392b", linewidths=1)
-    axis.set(xlim=(0, limit), ylim=(0, limit), aspect="equal")
+        axis.scatter(target[:, 0], target[:, 1], marker="*", s=110, facecolor="none", edgecolor="#c0392b", linewidths=1)
+    axis.set(xlim=(-margin, limit), ylim=(-margin, limit), aspect="equal")
     axis.set_title(title, fontsize=8)
     axis.tick_params(labelsize=6)
 

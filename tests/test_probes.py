@@ -1,0 +1,65 @@
+"""Blindness probes: matched Chamfer, sampling uniform by area, what each metric says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from paper_artifact.errors import InputError
+from paper_artifact.report import probes as report
+from paper_artifact.study import probes
+
+
+def test_revolution_is_uniform_by_area_on_a_spheroid():
+    """On a prolate spheroid (half axes 1, 1, 2) the area below a height is known in closed form."""
+    u, v = np.random.default_rng(0).random((2, 20_000))
+    polar_radius = lambda angle: 1 / np.sqrt(np.sin(angle) ** 2 + np.cos(angle) ** 2 / 4)  # noqa: E731
+    z = probes.revolution(polar_radius, u, v)[:, 2] / 2
+
+    def area_below(t):  # ∫ sqrt(4 - 3 t²) dt
+        primitive = lambda x: x * np.sqrt(4 - 3 * x**2) / 2 + 2 / np.sqrt(3) * np.arcsin(np.sqrt(3) * x / 2)  # noqa: E731
+        return (primitive(t) - primitive(-1)) / (primitive(1) - primitive(-1))
+
+    assert kstest(z, area_below).pvalue > 1e-3
+
+
+def test_sphere_of_revolution_is_the_sphere():
+    u, v = np.random.default_rng(1).random((2, 500))
+    close = probes.revolution(np.ones_like, u, v)
+    np.testing.assert_allclose(close, probes.sphere_points(u, v), atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(close, axis=1), 1)
+
+
+def test_handle_has_no_hidden_part_and_the_right_share():
+    probe = probes.make_probe("thin handle", samples=6000)
+    radius = np.linalg.norm(probe.b, axis=1)
+    assert radius.min() > 1 - 1e-9
+    ring = np.hypot(np.hypot(probe.b[:, 0], probe.b[:, 2] - 1) - probes.HANDLE_MAJOR, probe.b[:, 1])
+    assert ring.min() > probes.HANDLE_TUBE - 1e-9
+    visible = 4 * np.pi**2 * probes.HANDLE_MAJOR * probes.HANDLE_TUBE * 0.42  # the arc outside the sphere, 150 of 360 degrees
+    assert (radius > 1 + 1e-9).mean() == pytest.approx(visible / (visible + 4 * np.pi), rel=0.15)
+
+
+@pytest.mark.parametrize("name", probes.CASES)
+def test_chamfer_is_equal_and_the_bottleneck_tells(name):
+    probe = probes.make_probe(name, seed=3, samples=6000)
+    a, b = probes.read(probe)
+    assert a.chamfer_sum == pytest.approx(b.chamfer_sum, rel=2 * probes.TOLERANCE)
+    assert b.bottleneck > 10 * a.bottleneck and b.bottleneck > 0.02
+    assert (b.hausdorff95 < a.hausdorff95) == (name == "thin handle") or name == "bridge"  # the bridge's preference needs 40,000 samples
+    assert probes.noise_floor(probe) < b.chamfer_sum
+
+
+def test_unknown_case():
+    with pytest.raises(InputError, match="unknown blindness probe"):
+        probes.make_probe("bump")
+
+
+def test_tables_and_picture():
+    measured = report.measure((0,), 6000)
+    table = report.reading_table(measured)
+    assert list(table.index) == [(name, 0) for name in probes.CASES]
+    beside = report.beside_paper(table)
+    assert beside.loc["paper's Chamfer %"].tolist() == [0.916, 0.628, 0.977]
+    assert len(report.picture(measured, 0).axes) == 12
