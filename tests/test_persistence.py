@@ -14,9 +14,9 @@ from scipy.spatial import Delaunay
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology import delaunay, filtration, ordering, predicates
+from paper_artifact.topology import benchmark, delaunay, filtration, ordering, predicates
 from paper_artifact.topology.expansions import WORKSPACE, evaluate, exact
-from paper_artifact.topology.persistence import Pairs, alpha_persistence
+from paper_artifact.topology.persistence import STAGES, Pairs, alpha_persistence
 
 WS = np.empty(WORKSPACE)
 
@@ -347,7 +347,9 @@ def test_triangulation_equals_scipys_on_generic_points(n):
     scaled, unit = ordering.normalised(points)
     np.testing.assert_array_equal(scaled * unit, points)
     order = ordering.insertion_order(scaled, ordering.ROUNDS)
-    mesh, distinct = delaunay.triangulate(np.ascontiguousarray(scaled[order]), order)
+    ordered = np.ascontiguousarray(scaled[order])
+    assert delaunay.first_tetrahedron(ordered, order)
+    mesh, distinct = delaunay.triangulate(ordered)
     cells, neighbours = delaunay.finite_cells(mesh, np.arange(n, dtype=np.int32))
     assert distinct == n
     assert {tuple(r) for r in np.sort(order[cells], axis=1)} == {tuple(r) for r in np.sort(Delaunay(points).simplices, axis=1)}
@@ -363,7 +365,8 @@ def test_a_star_of_many_cells_grows_the_workspaces():
     assert len(voids.deaths) > 0 and voids.deaths.max() < 0.51 + 0.2
     scaled, _ = ordering.normalised(points)
     order = np.arange(3001, dtype=np.int32)  # the centre last
-    mesh, _ = delaunay.triangulate(scaled.copy(), order)
+    assert delaunay.first_tetrahedron(scaled, order) and order[3000] == 3000
+    mesh, _ = delaunay.triangulate(scaled)
     cells, _ = delaunay.finite_cells(mesh, np.arange(3001, dtype=np.int32))
     assert (cells == 3000).any(axis=1).sum() > 5000
 
@@ -378,3 +381,25 @@ def test_insertion_order_is_a_permutation():
     points = CLOUDS["duplicates"]()
     assert sorted(ordering.insertion_order(points, ordering.ROUNDS)) == list(range(len(points)))
     assert sorted(ordering.insertion_order(np.zeros((7, 3)), 0)) == list(range(7))
+
+
+# the benchmark's rows
+
+
+def test_benchmark_rows_are_complete_and_consistent():
+    rows = benchmark.persistence_rows((200, 400), repetitions=2, cloud="soup")
+    assert [row["M"] for row in rows] == [200, 400]
+    for row in rows:
+        for key in ("gudhi", "fast"):
+            stages = [row[f"{key}_{stage}_ms"] for stage in STAGES]
+            assert min(stages) >= 0 and sum(stages) > 0
+        assert row["ratio"] == pytest.approx(row["gudhi_ms"] / row["fast_ms"])
+    assert benchmark.growth_exponent([{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("arguments", [{"cloud": "sea"}, {"sizes": (3,)}, {"sizes": ()}, {"repetitions": 0}])
+def test_benchmark_refuses_bad_arguments(arguments):
+    with pytest.raises(InputError):
+        benchmark.persistence_rows(**arguments)
+    with pytest.raises(InputError):
+        benchmark.growth_exponent([{"M": 5, "fast_ms": 1.0}])

@@ -18,52 +18,61 @@ INFINITE = -1
 DEAD = -2
 
 
-@njit(cache=True, nogil=True)
-def _collinear(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> bool:
-    """Exactly collinear: all three coordinate projections have zero area, each read off an orientation with a fourth point above."""
-    lifted = np.zeros((4, 3))
+# the first tetrahedron (0, 1, 2, 3) and the four infinite cells around it: vertices, then the neighbours opposite to them
+START = np.array(
+    [
+        [0, 1, 2, 3, 1, 2, 3, 4],
+        [3, 1, 2, INFINITE, 4, 2, 3, 0],
+        [0, 3, 2, INFINITE, 1, 4, 3, 0],
+        [0, 1, 3, INFINITE, 1, 2, 4, 0],
+        [1, 0, 2, INFINITE, 2, 1, 3, 0],
+    ],
+    dtype=np.int32,
+)
+
+
+def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
+    """Whether three points (3, 3) are exactly collinear: all coordinate projections have zero area, each read off an orientation with a
+    fourth point above."""
     for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        lifted[0, 0], lifted[0, 1] = points[a, i], points[a, j]
-        lifted[1, 0], lifted[1, 1] = points[b, i], points[b, j]
-        lifted[2, 0], lifted[2, 1] = points[c, i], points[c, j]
-        lifted[3, 0], lifted[3, 1] = points[a, i], points[a, j]
-        lifted[3, 2] = 1.0
+        lifted = np.zeros((4, 3))
+        lifted[:3, :2] = np.delete(points, axis, axis=1)
+        lifted[3, :2], lifted[3, 2] = lifted[0, :2], 1.0
         if orient3d(lifted, 0, 1, 2, 3, ws) != 0.0:
             return False
     return True
 
 
-@njit(cache=True, nogil=True)
-def _swap_rows(points: np.ndarray, order: np.ndarray, i: int, j: int) -> None:
-    for k in range(3):
-        points[i, k], points[j, k] = points[j, k], points[i, k]
-    order[i], order[j] = order[j], order[i]
+def first_tetrahedron(points: np.ndarray, order: np.ndarray) -> bool:
+    """Bring four affinely independent rows, positively oriented, to the front of points (n, 3) and of order (n,), both IN PLACE.
 
+    False when there are none: fewer than four points, or all exactly coplanar.
+    """
+    ws = np.empty(WORKSPACE)
 
-@njit(cache=True, nogil=True)
-def _first_tetrahedron(points: np.ndarray, order: np.ndarray, ws: np.ndarray) -> bool:
-    """Bring four affinely independent points, positively oriented, to the front; False when there are none."""
-    n = len(points)
+    def swap(i: int, j: int) -> None:
+        points[[i, j]] = points[[j, i]]
+        order[[i, j]] = order[[j, i]]
+
     found = 1
-    for i in range(1, n):
+    for i in range(1, len(points)):
         if found == 1:
-            use = points[i, 0] != points[0, 0] or points[i, 1] != points[0, 1] or points[i, 2] != points[0, 2]
+            use = (points[i] != points[0]).any()
         elif found == 2:
-            use = not _collinear(points, 0, 1, i, ws)
+            use = not _collinear(points[[0, 1, i]], ws)
         else:
             use = orient3d(points, 0, 1, 2, i, ws) != 0.0
         if use:
-            _swap_rows(points, order, found, i)
+            swap(found, i)
             found += 1
             if found == 4:
                 if orient3d(points, 0, 1, 2, 3, ws) < 0.0:
-                    _swap_rows(points, order, 0, 1)
+                    swap(0, 1)
                 return True
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit("boolean(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
 def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
     """Whether p destroys cell t: p inside its sphere; for an infinite cell, p beyond its hull triangle or inside its circle."""
     if mesh[t, 3] == INFINITE:
@@ -74,7 +83,7 @@ def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.nd
     return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit("int32(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
 def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
     """Walk from cell t to the finite cell that contains p, or to an infinite one whose triangle p lies beyond."""
     if mesh[t, 3] == INFINITE:
@@ -105,7 +114,7 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
     return t
 
 
-@njit(cache=True, nogil=True)
+@njit("int32[:,::1](int32[:,::1], int64)", cache=True, nogil=True)
 def _grown(array: np.ndarray, rows: int) -> np.ndarray:
     larger = np.empty((rows, array.shape[1]), dtype=np.int32)
     for i in range(rows):
@@ -114,46 +123,24 @@ def _grown(array: np.ndarray, rows: int) -> np.ndarray:
     return larger
 
 
-@njit(cache=True, nogil=True)
-def _start(mesh: np.ndarray) -> None:
-    """The first tetrahedron (0, 1, 2, 3) and the four infinite cells around it."""
-    mesh[0, 0], mesh[0, 1], mesh[0, 2], mesh[0, 3] = 0, 1, 2, 3
-    mesh[1, 0], mesh[1, 1], mesh[1, 2], mesh[1, 3] = 3, 1, 2, INFINITE
-    mesh[2, 0], mesh[2, 1], mesh[2, 2], mesh[2, 3] = 0, 3, 2, INFINITE
-    mesh[3, 0], mesh[3, 1], mesh[3, 2], mesh[3, 3] = 0, 1, 3, INFINITE
-    mesh[4, 0], mesh[4, 1], mesh[4, 2], mesh[4, 3] = 1, 0, 2, INFINITE
-    for s in range(5):  # each pair of cells shares one triangle: the slots whose vertices the other cell lacks
-        for t in range(5):
-            if s == t:
-                continue
-            for i in range(4):
-                lacking = True
-                for j in range(4):
-                    if mesh[t, j] == mesh[s, i]:
-                        lacking = False
-                if lacking:
-                    mesh[s, 4 + i] = t
+@njit("Tuple((int32[:,::1], int64))(float64[:,::1])", cache=True, nogil=True)
+def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
+    """Delaunay tetrahedra of (n, 3) float64 points, n >= 4, scaled as ordering.normalised does, inserted in the order given; the first
+    four rows are affinely independent and positively oriented (first_tetrahedron).
 
-
-@njit(cache=True, nogil=True)
-def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, int]:
-    """Delaunay tetrahedra of (n, 3) float64 points, scaled as ordering.normalised does, given in insertion order.
-
-    points and `order` (n,) (any labels that travel with the rows) are permuted IN PLACE so that the first four rows are affinely
-    independent; all indices refer to the rows afterwards.
     Returns mesh (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively oriented,
     infinite cells with vertex -1 in column 3, unused rows with -2 in column 0; and the number of distinct points. A row that exactly
-    duplicates an earlier one is in no cell. c = 0 when all points are coplanar.
+    duplicates an earlier one is in no cell.
     """
     n = len(points)
     ws = np.empty(WORKSPACE)
     distinct = n
-    if n < 4 or not _first_tetrahedron(points, order, ws):
-        return np.empty((0, 8), dtype=np.int32), 0
     capacity = 9 * n + 64
     mesh = np.empty((capacity, 8), dtype=np.int32)  # a cell's vertices, then its neighbours opposite to them
     mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not
-    _start(mesh)
+    for t in range(5):
+        for i in range(8):
+            mesh[t, i] = START[t, i]
     used = 5
     free = np.empty((capacity, 1), dtype=np.int32)
     free_count = 0
@@ -163,7 +150,7 @@ def triangulate(points: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, int]
     slot_keys = np.empty(table, dtype=np.int64)
     slot_sides = np.empty(table, dtype=np.int32)
     slot_stamps = np.zeros(table, dtype=np.int32)
-    last = 0
+    last = np.int32(0)
     for p in range(4, n):
         first = _locate(points, mesh, last, p, ws)
         if mesh[first, 3] != INFINITE:

@@ -1,4 +1,4 @@
-"""The fast alpha persistence: triangulation, filtration, reduction, one after the other, with a clock for the benchmark."""
+"""The fast alpha persistence: triangulation, filtration, reduction, one after the other, with marks for the benchmark."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from paper_artifact.topology import delaunay, filtration, ordering, reduction
 from paper_artifact.topology.expansions import WORKSPACE
 
 
-def squared_pairs(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple | None:
+def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
     """For dimensions 0, 1, 2: (births, deaths, birth simplices, death simplices), SQUARED radii in the unit of the points squared and
     row indices of `points`; births < deaths in dimensions 1 and 2. None when the points span no tetrahedron.
 
-    points: (n, 3) float64, finite. `clock`, when given, receives the seconds of each stage.
+    points: (n, 3) float64, finite. `marks` receives the process' CPU time at the start of each stage of persistence.STAGES.
     """
-    marks = [time.perf_counter()]
+    marks.append(time.process_time())
     scaled, unit = ordering.normalised(points)
     if len(points) < 4:
         return None
     order = ordering.insertion_order(scaled, ordering.ROUNDS)
     ordered = np.ascontiguousarray(scaled[order])
-    mesh, distinct = delaunay.triangulate(ordered, order)
-    if len(mesh) == 0:
+    if not delaunay.first_tetrahedron(ordered, order):
         return None
+    mesh, distinct = delaunay.triangulate(ordered)
     along = ordering.insertion_order(ordered, 0)  # from here on the vertices follow the Hilbert curve: fewer cache misses
     rank = np.empty_like(along)
     rank[along] = np.arange(len(along), dtype=np.int32)
     order, ordered = order[along], np.ascontiguousarray(ordered[along])
     cells, neighbours = delaunay.finite_cells(mesh, rank)
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     of_cell, triangles, sides = filtration.faces(cells, neighbours)
     edge_count = distinct + len(triangles) - len(cells) - 1  # Euler's formula for a ball
     of_triangle, edges = filtration.edges_of(triangles, len(order), edge_count)
     cell_values, triangle_values, edge_values = filtration.values(
         ordered, cells, triangles, sides, of_cell, edges, of_triangle, np.empty(WORKSPACE)
     )
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     state, parents = reduction.apparent_voids(cell_values, triangle_values, of_cell, sides)
     apparent = reduction.apparent_loops(triangle_values, edge_values, of_triangle, state)
     left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
@@ -46,18 +46,14 @@ def squared_pairs(points: np.ndarray, clock: dict[str, float] | None = None) -> 
     ended, merging, merges = reduction.components(edges, edge_order, len(order))
     closing, filling = reduction.voids(sides, left, cell_values, parents, state)
     looping, killing = reduction.loops(of_triangle, left, state, edge_order, merges, apparent)
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     square = unit * unit
     keep = np.flatnonzero(triangle_values[killing] > edge_values[looping])
     looping, killing = looping[keep], killing[keep]
     keep = np.flatnonzero(cell_values[filling] > triangle_values[closing])
     closing, filling = closing[keep], filling[keep]
-    result = (
+    return (
         (np.zeros(len(ended)), edge_values[merging] * square, order[ended][:, None], order[edges[merging]]),
         (edge_values[looping] * square, triangle_values[killing] * square, order[edges[looping]], order[triangles[killing]]),
         (triangle_values[closing] * square, cell_values[filling] * square, order[triangles[closing]], order[cells[filling]]),
     )
-    marks.append(time.perf_counter())
-    if clock is not None:
-        clock.update(zip(("delaunay", "filtration", "reduction", "pairs"), np.diff(marks).tolist()))
-    return result

@@ -25,7 +25,7 @@ def normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
     return scaled, 2.0**exponent
 
 
-@njit(cache=True, nogil=True)
+@njit("int32[::1](uint64[::1])", cache=True, nogil=True)
 def sort_keys(keys: np.ndarray) -> np.ndarray:
     """The stable increasing order of (n,) uint64 `keys`: (n,) int32, a radix sort that leaves out constant digits."""
     n = len(keys)
@@ -56,7 +56,7 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
     return order
 
 
-@njit(cache=True, nogil=True)
+@njit("int64(int64, int64, int64)", cache=True, nogil=True)
 def _hilbert(x: int, y: int, z: int) -> int:
     """The Hilbert index of a cell (Skilling, "Programming the Hilbert curve", 2004); HILBERT_BITS bits per axis."""
     cell = np.empty(3, dtype=np.int64)
@@ -87,26 +87,25 @@ def _hilbert(x: int, y: int, z: int) -> int:
     return index
 
 
-@njit(cache=True, nogil=True)
 def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
     """The order in which to insert (n, 3) float64 points: (n,) int32. n > 0.
 
     Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over rounds that double in
     size, and each round follows the Hilbert curve, so the next point is close to the last. With `rounds` = 0 the plain Hilbert order.
     """
-    n = len(points)
-    low, extent = np.empty(3), 0.0
-    for k in range(3):
-        least = most = points[0, k]
-        for i in range(n):
-            least, most = min(least, points[i, k]), max(most, points[i, k])
-        low[k], extent = least, max(extent, most - least)
+    low = points.min(axis=0)
+    extent = float((points.max(axis=0) - low).max())
     scale = ((1 << HILBERT_BITS) - 1) / extent if extent > 0.0 else 0.0
+    return sort_keys(_keys(((points - low) * scale).astype(np.int64), rounds))
+
+
+@njit("uint64[::1](int64[:,::1], int64)", cache=True, nogil=True)
+def _keys(cells: np.ndarray, rounds: int) -> np.ndarray:
+    """The sort keys of (n, 3) cells of the Hilbert grid: the round above the Hilbert index."""
+    n = len(cells)
     keys = np.empty(n, dtype=np.uint64)
     for i in range(n):
-        cell = _hilbert(
-            int((points[i, 0] - low[0]) * scale), int((points[i, 1] - low[1]) * scale), int((points[i, 2] - low[2]) * scale)
-        )
+        cell = _hilbert(cells[i, 0], cells[i, 1], cells[i, 2])
         bits = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)  # splitmix64
         bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -115,4 +114,4 @@ def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
         while level < rounds and (bits >> np.uint64(level)) & np.uint64(1):
             level += 1
         keys[i] = np.uint64(rounds - level) << np.uint64(3 * HILBERT_BITS) | np.uint64(cell)
-    return sort_keys(keys)
+    return keys

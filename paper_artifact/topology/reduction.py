@@ -17,13 +17,12 @@ from paper_artifact.topology.ordering import sort_keys
 OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3  # a triangle: not yet paired; paired at once with a cell; with a cell; at once with an edge
 
 
-@njit(cache=True, nogil=True)
 def increasing(values: np.ndarray) -> np.ndarray:
     """The order of (n,) non-negative float64 values, equal ones by index: (n,) int32. (Their bits sort as integers.)"""
     return sort_keys(values.view(np.uint64))
 
 
-@njit(cache=True, nogil=True)
+@njit("int32(int32[::1], int32)", cache=True, nogil=True)
 def _root(parents: np.ndarray, i: int) -> int:
     while parents[i] != i:
         parents[i] = parents[parents[i]]
