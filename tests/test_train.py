@@ -74,6 +74,17 @@ def test_history_of_a_run(trained):
     assert set(trained.seconds) == {"photometric", "optimiser", "resample", "evaluate"} and trained.resumed_at is None
 
 
+def test_torch_itself_trains_on_one_thread(tiny_scene):
+    # With two, torch cuts large tensors elsewhere and a 5,250-triangle torus run differs from step 20 or so on.
+    inside, before = [], torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        train(tiny_scene, tiny_config(steps=2), device="cpu", progress=lambda step, text: inside.append(torch.get_num_threads()))
+        assert inside == [1, 1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_one_and_two_threads_give_the_same_bits(trained, tiny_scene):
     before = thread_count()
     try:

@@ -7,7 +7,10 @@ nothing else.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Callable
+from contextlib import contextmanager
+from typing import Callable, Iterator
+
+import torch
 
 _pool: ThreadPoolExecutor | None = None
 _count = 1
@@ -34,3 +37,18 @@ def run_jobs(job: Callable[[int], object], count: int) -> list:
     if _pool is None or count == 1:
         return [job(index) for index in range(count)]
     return list(_pool.map(job, range(count)))
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Keep torch's own operations on one thread inside the block (also usable as a decorator).
+
+    torch cuts large tensors at other places for other thread counts, and the ends of the pieces round differently: bits would depend on
+    the machine. numba's thread layer, too, changes OpenMP's count for torch when something asks it how many threads it has.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -20,6 +20,7 @@ import torch
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
+from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler
@@ -70,6 +71,7 @@ def scene_radius(scene: Scene) -> float:
     return float(scene.radius)
 
 
+@one_torch_thread()
 def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, evaluate: Callable[[Soup, int], dict] | None = None,
           checkpoint: Path | None = None, progress: Callable[[int, str], None] | None = None, device: str = "auto",
           resampler: Resampler | None = None) -> TrainResult:
