@@ -39,7 +39,7 @@ class Case:
         return [leaf(tensor) for tensor in (self.soup["vertices"], self.soup["features"], self.soup["opacity"], *self.mlp)]
 
     def by_autograd(self, leaves: list[torch.Tensor], logits: bool = False) -> float:
-        """Set the leaves' gradients and return the loss; logits: features and opacity are logits, as in a soup that is trained."""
+        """Set the leaves' gradients and return the loss; logits: features and opacity are, as in a soup that is trained."""
         vertices, features, opacity, *weights = leaves
         features, opacity = (torch.sigmoid(features), torch.sigmoid(opacity)) if logits else (features, opacity)
         raster = functions.rasterize(vertices, opacity, self.matrices, HEIGHT, WIDTH, self.keys)

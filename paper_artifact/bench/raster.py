@@ -62,9 +62,9 @@ def _as(soup: Soup, dtype: torch.dtype) -> Soup:
 
 
 def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
-    """Return rows {what, ms, ratio}: medians of interleaved forward + backward passes, CPU time of one thread; ratio is to numba."""
+    """Return rows {what, ms, ratio to numba}: medians of interleaved forward + backward passes, CPU time of one thread."""
     scene, soup = sphere_case(results)
-    views = scene.train[[0, 10, 20, 30]]
+    views = scene.train[np.arange(4) * len(scene.train) // 4]
     target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))
     statistics, buffers = functions.target_statistics(target), functions.RasterBuffers()
     times: dict[str, list[float]] = {"numba": [], "twin float32": [], "twin float64": []}
@@ -83,5 +83,5 @@ def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
             times[name].append(time.process_time() - begin)
     rows = [{"what": f"forward + backward, {name}", "ms": 1e3 * median(values[1:]),
              "ratio": median(values[1:]) / median(times["numba"][1:])} for name, values in times.items()]
-    rows += [{"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None} for name, values in stages.items()]
-    return rows
+    return rows + [{"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None}
+                   for name, values in stages.items()]

@@ -1,4 +1,4 @@
-"""A whole C0 run: CPU seconds, peak memory, where the time goes. Each measurement is a fresh process, so that its peak is its own."""
+"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a fresh process: its peak is its own."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from paper_artifact.raster.threads import set_thread_count
 from paper_artifact.train.config import default_config
 from paper_artifact.train.loop import train
 from paper_artifact.train.run import find_mesh, make_run_term, prepare_scene, with_condition
-shape, condition, steps, threads, results = json.loads(sys.argv[1])
+shape, condition, steps, threads, results, changes = json.loads(sys.argv[1])
 torch.set_num_threads(1)
 set_thread_count(threads)
 mesh = find_mesh(shape)
-train(prepare_scene(default_config(shape, steps=2), mesh, Path(results) / "scenes"), default_config(shape, steps=2), device="cpu")
-config = with_condition(default_config(shape, condition=condition, steps=steps), mesh)
+config = with_condition(default_config(shape, condition=condition, steps=steps, **changes), mesh)
 scene = prepare_scene(config, mesh, Path(results) / "scenes")
+train(scene, default_config(shape, steps=2, **changes), device="cpu")  # the kernels are compiled or loaded here
 term, _ = make_run_term(config, mesh)
 cpu, wall = time.process_time(), time.perf_counter()
 outcome = train(scene, config, term=term, device="cpu")
@@ -31,13 +31,14 @@ print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() 
 """
 
 
-def run_row(shape: str, condition: str, steps: int, threads: int, results: Path) -> dict:
-    """Return {cpu, wall (seconds of the training loop, compilation and scene left out), seconds by stage, peak_mb, loss} of one run.
+def run_row(shape: str, condition: str, steps: int, threads: int, results: Path, **changes) -> dict:
+    """Return {cpu, wall, seconds by stage, peak_mb, loss} of one run's training loop, compilation and scene left out.
 
-    Raises RuntimeError with the child's last line when it fails.
+    results: folder for the scene; changes: other values than `default_config`'s (numbers). Raises RuntimeError with the child's
+    last line when it fails.
     """
-    child = subprocess.run([sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results)])],
+    child = subprocess.run([sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results), changes])],
                            capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     if child.returncode:
-        raise RuntimeError(f"the benchmark run failed: {child.stderr.strip().splitlines()[-1:]}")
+        raise RuntimeError(f"the benchmark run failed: {(child.stderr.strip().splitlines() or ['no message'])[-1]}")
     return json.loads(child.stdout.strip().splitlines()[-1])

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _raster(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.raster import raster_rows
 
-    print("Photometric step, C0 sphere after 300 steps, N = 1200, 200 px, batch 4; CPU ms of one thread, medians of 15 interleaved")
+    print("Photometric step, C0 sphere after 300 steps, N = 1200, 200 px, batch 4; CPU ms, one thread, median of 15")
     for row in raster_rows(folder):
         ratio = "" if row["ratio"] is None else f"   {row['ratio']:6.1f} × numba"
         print(f"  {row['what']:42s} {row['ms']:9.2f}{ratio}")
@@ -50,8 +50,8 @@ def _run(folder: Path, arguments: argparse.Namespace) -> None:
     for threads in (1, 2):
         row = run_row("sphere", "C0", arguments.steps, threads, folder)
         stages = ", ".join(f"{name} {value:.1f} s" for name, value in sorted(row["seconds"].items()))
-        print(f"  sphere C0, {threads} thread(s): {row['cpu']:6.1f} s of CPU = {row['cpu'] / threads:5.1f} s per thread, wall {row['wall']:6.1f} s, "
-              f"peak memory {row['peak_mb']:.0f} MB ({stages})")
+        print(f"  sphere C0, {threads} thread(s): {row['cpu']:6.1f} s of CPU = {row['cpu'] / threads:5.1f} s per thread, "
+              f"wall {row['wall']:6.1f} s, peak memory {row['peak_mb']:.0f} MB ({stages})")
 
 
 def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
@@ -64,6 +64,5 @@ def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.run import run_row
 
     print(f"What the loss adds to a run of {arguments.steps} steps (one thread, CPU seconds of the training loop)")
-    base = run_row("sphere", "C0", arguments.steps, 1, folder)["cpu"]
-    with_loss = run_row("sphere", "C1", arguments.steps, 1, folder)
-    print(f"  sphere C0 {base:.1f} s, C1 {with_loss['cpu']:.1f} s: + {100 * (with_loss['cpu'] / base - 1):.0f} % (paper: +110 to +140 %)")
+    base, with_loss = (run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1"))
+    print(f"  sphere C0 {base:.1f} s, C1 {with_loss:.1f} s: + {100 * (with_loss / base - 1):.0f} % (paper: +110 to +140 %)")

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
+import time
 from pathlib import Path
 
+from paper_artifact.record.record import read_record
+from paper_artifact.study.worker import failure_of, start_run
 
-def remote_run(values: dict, device: str) -> dict:
-    """Run the configuration (a dict) on this worker and return its record. Raises RuntimeError with the run's own last line."""
+
+def remote_run(values: dict, device: str) -> tuple[dict, float]:
+    """Run the configuration (a dict) on this worker; return its record and the seconds of wall time that it took here.
+
+    The run's process ends with the worker. Raises RuntimeError with the run's own last line when it fails.
+    """
+    begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        child = subprocess.run([sys.executable, "-m", "paper_artifact.study.worker", json.dumps(values), folder, device],
-                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        if child.returncode:
-            raise RuntimeError((child.stderr.strip().splitlines() or [f"the run ended with {child.returncode}"])[-1])
-        (record,) = (Path(folder) / "runs").glob("*.json")
-        return json.loads(record.read_text(encoding="utf-8"))
+        failure = failure_of(start_run(values, folder, device))
+        if failure:
+            raise RuntimeError(failure)
+        (path,) = (Path(folder) / "runs").glob("*.json")
+        return read_record(path), time.perf_counter() - begin

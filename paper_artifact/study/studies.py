@@ -1,4 +1,4 @@
-"""The studies as data: tables of runs, shapes × conditions × seeds (paper §4 "Protocol"; seeds as the paper's tables have them)."""
+"""The studies as data: tables of runs, shapes × conditions × seeds (paper §4 "Protocol"; seeds as in the paper's tables)."""
 
 from __future__ import annotations
 
@@ -24,16 +24,22 @@ STUDIES: dict[str, tuple[Block, ...]] = {
 
 def study_configs(name: str, shapes: list[str] | None = None, conditions: list[str] | None = None,
                   seeds: list[int] | None = None) -> list[RunConfig]:
-    """Return the study's runs, seed by seed within each block, so that a sweep cut short leaves whole seeds; the lists restrict it.
+    """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The lists restrict it.
 
-    Raises InputError for an unknown study or a restriction that leaves nothing.
+    Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that leaves nothing.
     """
     if name not in STUDIES:
         raise InputError(f"unknown study {name!r}; choose one of {', '.join(STUDIES)}")
+    for word, given, position in (("shape", shapes, 0), ("condition", conditions, 1), ("seed", seeds, 2)):
+        known = list(dict.fromkeys(value for block in STUDIES[name] for value in block[position]))
+        unknown = [str(value) for value in given or () if value not in known]
+        if unknown:
+            raise InputError(f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}")
     configs = [default_config(shape, condition=condition, seed=seed)
                for block_shapes, block_conditions, block_seeds in STUDIES[name] for seed in block_seeds
                for shape in block_shapes for condition in block_conditions
-               if (not shapes or shape in shapes) and (not conditions or condition in conditions) and (not seeds or seed in seeds)]
+               if shape in (shapes or [shape]) and condition in (conditions or [condition]) and seed in (seeds or [seed])]
     if not configs:
-        raise InputError(f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds}; see paper_artifact/study/studies.py")
+        raise InputError(f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds} at once; "
+                         "see paper_artifact/study/studies.py")
     return configs

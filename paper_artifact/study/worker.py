@@ -1,4 +1,4 @@
-"""One run in a process of its own: `python -m paper_artifact.study.worker CONFIG_JSON RESULTS`.
+"""One run in a process of its own: `python -m paper_artifact.study.worker CONFIG_JSON RESULTS DEVICE [watched]`.
 
 A crash, a kill or a leak of one run cannot touch another; one thread each, since two such processes beat one with two threads.
 """
@@ -7,8 +7,31 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
+import threading
 from pathlib import Path
+
+
+def start_run(values: dict, results: Path | str, device: str) -> subprocess.Popen:
+    """Start the run of a configuration (a dict) that writes under `results`; wait for it with `failure_of`.
+
+    The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process holds open.
+    """
+    command = [sys.executable, "-m", "paper_artifact.study.worker", json.dumps(values), str(results), device, "watched"]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                            text=True, errors="replace")
+
+
+def failure_of(child: subprocess.Popen) -> str | None:
+    """Wait for a process of `start_run` and return why it failed in one line, None when its record is written."""
+    with child:
+        errors = child.stderr.read()  # not communicate(), which would close stdin and so end the run
+        child.wait()
+    if child.returncode < 0:
+        return f"the process was ended by signal {-child.returncode}"
+    lines = errors.strip().splitlines() or [f"the process ended with exit code {child.returncode}"]
+    return lines[-1] if child.returncode else None
 
 
 def config_from(values: dict):
@@ -33,6 +56,8 @@ def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
 
 def main() -> int:
     """Run the configuration on the command line; the last line of stderr says what went wrong, if anything."""
+    if sys.argv[4:] == ["watched"]:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"
     from paper_artifact.errors import InputError
     from paper_artifact.train.loop import TrainingError
@@ -43,6 +68,12 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 1
     return 0
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 1024):  # not sys.stdin: a thread that holds its lock would trouble the interpreter's end
+        pass
+    os._exit(1)  # files are written atomically, so any moment will do
 
 
 if __name__ == "__main__":

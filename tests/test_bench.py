@@ -1,0 +1,63 @@
+"""The benchmarks on tiny cases: what they report, never how long it took."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+
+from paper_artifact import cli
+from paper_artifact.bench import raster
+from paper_artifact.bench.run import run_row
+from paper_artifact.cli import bench
+from paper_artifact.soup.initialise import initial_soup
+
+
+@pytest.fixture
+def own_threads(monkeypatch):
+    """Undo what the verb sets for its own process."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_raster_rows(tiny_scene, monkeypatch, tmp_path):
+    monkeypatch.setattr(raster, "sphere_case", lambda results: (tiny_scene, initial_soup(tiny_scene.points, 40, 0)))
+    rows = raster.raster_rows(tmp_path, repetitions=2)
+    passes = {row["what"]: row for row in rows if row["ratio"] is not None}
+    assert set(passes) == {f"forward + backward, {name}" for name in ("numba", "twin float32", "twin float64")}
+    assert passes["forward + backward, numba"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
+    stages = [row["what"].split("numba: ")[1] for row in rows if row["ratio"] is None]
+    assert len(stages) == 5 and all(stage.endswith("(wall)") for stage in stages)
+
+
+def test_run_row_measures_the_training_loop_with_its_term(tiny_results):
+    row = run_row("sphere", "C1", 4, 2, tiny_results, views=8, size=64, budget=30, initial_ratio=2.0)
+    assert {"photometric", "optimiser", "topology"} <= set(row["seconds"]) and "evaluate" not in row["seconds"]
+    assert row["cpu"] > 0 and row["wall"] > 0 and row["peak_mb"] > 50 and 0 < row["loss"] < 1
+    json.dumps(row, allow_nan=False)
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["nonsense", "raster"], "unknown part nonsense; choose among raster, run, persistence, loss"),
+    (["raster", "--steps=0"], "--steps must be at least 1, got 0"),
+])
+def test_bad_arguments_are_refused_before_any_measurement(arguments, words, monkeypatch, capsys):
+    monkeypatch.setattr(bench, "_raster", None)  # calling it would fail
+    assert cli.main(["bench", *arguments]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
+    monkeypatch.setattr(raster, "raster_rows", lambda folder: [{"what": "this", "ms": 2.5, "ratio": 31.25},
+                                                               {"what": "that", "ms": 1.0, "ratio": None}])
+    seconds = {"C0": 40.0, "C1": 60.0}
+    monkeypatch.setattr("paper_artifact.bench.run.run_row", lambda shape, condition, steps, threads, folder: {
+        "cpu": seconds[condition], "wall": 61.0, "peak_mb": 512.0, "seconds": {"photometric": 30.0}})
+    assert cli.main(["bench", "raster", "run", "loss", "--steps", "10"]) == 0
+    printed = capsys.readouterr().out
+    assert "2.50     31.2 × numba" in printed and "that" in printed
+    assert "40.0 s of CPU =  20.0 s per thread" in printed and "peak memory 512 MB (photometric 30.0 s)" in printed
+    assert "C0 40.0 s, C1 60.0 s: + 50 %" in printed
