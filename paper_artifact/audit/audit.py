@@ -1,0 +1,85 @@
+"""One mesh through the audit: everything that is measured before a training run, as data."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
+from paper_artifact.certify.certificate import Certificate, certify
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars
+from paper_artifact.mesh import Mesh, checked_mesh
+from paper_artifact.report.staircase import measure
+from paper_artifact.topology.bundle import Bundle, build_from_mesh
+
+BUDGET_BY_CLASS = (700, 700, 1200)  # triangles N of the component, loop and void class (paper §4)
+KEPT_ABOVE = 0.2  # margins below this fraction of the floor are sampling noise and not kept
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """name: as the command line was given it; mesh: welded; rungs: one per density and seed; decision: of the first seed's rungs;
+    bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working density else the largest, first seed."""
+
+    name: str
+    mesh: Mesh
+    certificate: Certificate
+    rungs: tuple[Rung, ...]
+    decision: Decision
+    bundle: Bundle | None
+    diagram: Diagram
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """The shell commands that train C0, C1 and C2 with this bundle; empty when nothing is measurable."""
+        if self.decision.samples is None:
+            return ()
+        topology = (("bundle_seed", self.bundle.seed), ("dimensions", self.decision.dimensions), ("samples", self.decision.samples))
+        changes = f'--set "topology={topology!r}" --set budget={BUDGET_BY_CLASS[self.decision.dimension]}'
+        return tuple(f"python -m paper_artifact train {shlex.quote(self.name)} --condition {condition} {changes}" for condition in ("C0", "C1", "C2"))
+
+    def to_json(self) -> dict:
+        """Return a JSON-able dict of all but the mesh and the diagram."""
+        rungs = [asdict(rung) | {"signature": rung.signature} for rung in self.rungs]
+        return {"name": self.name, "certificate": self.certificate.to_json(), "staircase": rungs, "decision": asdict(self.decision),
+                "bundle": self.bundle.to_json() if self.bundle else None, "commands": list(self.commands)}
+
+
+def audit_mesh(mesh: Mesh, name: str | None = None, *, densities: Sequence[int] = DENSITIES, working: Sequence[int] = WORKING,
+               seeds: int = 1, first_seed: int = 0, progress: Callable[[str], None] | None = None) -> Audit:
+    """Certify `mesh` (loaded with or without its weld), measure its staircase, decide, and build the bundle.
+
+    densities: M of the staircase, the working ones are added; seeds: the staircase's sampling seeds, from
+    `first_seed` on; the decision and the bundle are first_seed's;
+    progress: called with a line before each measurement. Raises InputError for a mesh without area or densities below 16.
+    """
+    if min((*densities, *working)) < 16 or seeds < 1 or first_seed < 0:
+        raise InputError(f"an audit needs densities of at least 16 points, one seed or more and none negative, got {min((*densities, *working))}, "
+                         f"{seeds} and {first_seed}")
+    certificate = certify(mesh.vertices, mesh.faces, mesh.name)
+    if not certificate.passed and not certificate.closed:
+        as_boundary = certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=True)
+        certificate = as_boundary if as_boundary.passed else certificate
+    mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name, mesh.betti)
+    rungs, diagrams = [], {}
+    for samples in sorted({*densities, *working}):
+        for seed in range(first_seed, first_seed + seeds):
+            if progress:
+                progress(f"staircase M = {samples}, seed {seed}")
+            diagram, floor = measure(mesh, samples, seed)
+            rungs.append(Rung(samples, seed, floor, tuple(_margins(bars, floor) for bars in diagram)))
+            if seed == first_seed:
+                diagrams[samples] = diagram
+    decision = decide([rung for rung in rungs if rung.seed == first_seed], certificate, working)
+    bundle = None
+    if decision.samples is not None:
+        bundle = build_from_mesh(mesh.vertices, mesh.faces, decision.samples, first_seed, shape=mesh.name, dimensions=decision.dimensions)
+    shown = diagrams[decision.samples if decision.samples is not None else max(diagrams)]
+    return Audit(name or mesh.name, mesh, certificate, tuple(rungs), decision, bundle, shown)
+
+
+def _margins(bars, floor: float) -> tuple[float, ...]:
+    margins = lifetimes(longest_bars(bars, floor)) / floor
+    return tuple(round(float(margin), 4) for margin in margins if margin > KEPT_ABOVE)

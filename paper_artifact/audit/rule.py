@@ -1,0 +1,134 @@
+"""The pre-registered rule: which observable, at which density, before any training (paper §4, §6, suppl. B and G).
+
+1. The expected bars are the certified ones, (b0 - 1, b1, b2). Where no certificate of a closed surface exists, or none of its classes
+   is measurable, they are those that the clean surface itself shows at the largest working density (the bowls: an open mouth caps).
+2. The class is the first dimension of H0, H1, H2 that is expected and has a significant bar at some working density.
+3. The density is the first working density at which all expected bars of the class are significant ("complete"); if there is none, the
+   first at which any is, and the loss is restricted to what is measurable ("partial": the torus and rocker-arm precedent).
+4. The loss also acts on every other expected dimension that is complete at this density, and on nothing else.
+
+The working densities are the study's two, M = 2048 and, where that is too coarse, M = 8192. The other rungs of the staircase are
+diagnostics: eight is complete at 4096 already, and the paper bundles it at 8192. A bar is significant iff its lifetime exceeds 6·r_med(M).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from paper_artifact.certify.certificate import Certificate
+from paper_artifact.errors import InputError
+
+DENSITIES = (512, 1024, 2048, 4096, 8192, 20_000)
+WORKING = (2048, 8192)
+NEAR = 0.15  # of the floor: margins vary by about this much between sampling seeds
+NAMES = ("components (H0)", "loops (H1)", "voids (H2)")
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One density of the staircase: M, seed, floor (radius / diagonal), and per dimension the lifetimes over the floor, longest first."""
+
+    samples: int
+    seed: int
+    floor: float
+    margins: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Significant finite bars per dimension; the one infinite bar of H0 is not among them."""
+        return tuple(sum(margin > 1 for margin in each) for each in self.margins)
+
+    @property
+    def signature(self) -> str:
+        """The counts as the paper writes them, H0 with its infinite bar."""
+        h0, h1, h2 = self.counts
+        return f"({h0 + 1},{h1},{h2})"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """dimension: the class (0, 1, 2), None when nothing is measurable, and then samples is None and dimensions empty.
+
+    dimensions: where the loss acts; expected: bars per dimension, "certificate" or "observation" being their basis; reasons: the rule's
+    steps as sentences; warnings: what an evaluation at a denser sample would stumble over.
+    """
+
+    dimension: int | None
+    samples: int | None
+    dimensions: tuple[int, ...]
+    complete: bool
+    expected: tuple[int, int, int]
+    basis: str
+    reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[int] = WORKING) -> Decision:
+    """Apply the rule to the staircase `rungs` (one per density, any order) of a surface with that certificate.
+
+    Raises InputError when a working density has no rung.
+    """
+    by_samples = {rung.samples: rung for rung in sorted(rungs, key=lambda each: each.samples)}
+    missing = [samples for samples in working if samples not in by_samples]
+    if missing or not working:
+        raise InputError(f"the staircase has no rung at the working density {missing or ''}; measure it there")
+    ladder = [by_samples[samples] for samples in sorted(working)]
+    reasons = []
+    observed = ladder[-1].counts
+    if certificate.passed and certificate.closed:
+        certified = (certificate.betti[0] - 1, certificate.betti[1], certificate.betti[2])
+        reasons.append(f"The certificate passes: expected finite bars {certified} of β = {certificate.betti}.")
+        choices = [("certificate", certified), ("observation", observed)]
+    else:
+        why = "is that of a surface with boundary" if certificate.passed else "fails"
+        reasons.append(f"The certificate {why}, so the expected bars are those observed at M = {ladder[-1].samples}: {observed}.")
+        choices = [("observation", observed)]
+    for basis, expected in choices:
+        if basis == "observation" and len(choices) == 2:
+            reasons.append("No certified class is measurable; the bars observed without one decide.")
+        for dimension in range(3):
+            found = _density(ladder, dimension, expected[dimension])
+            if found is None:
+                if expected[dimension]:
+                    reasons.append(f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a working density "
+                                   f"({', '.join(f'M = {rung.samples}: {_top(rung, dimension):.2f} of the floor' for rung in ladder)}).")
+                continue
+            rung, complete = found
+            return _decision(by_samples, rung, dimension, complete, expected, basis, reasons)
+    denser = [rung for rung in by_samples.values() if sum(rung.counts) and rung.samples not in working]
+    if denser:
+        reasons.append(f"Bars appear at M = {', '.join(str(rung.samples) for rung in denser)} only, which is no working density.")
+    return Decision(None, None, (), False, choices[0][1], choices[0][0], tuple(reasons), ())
+
+
+def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Rung, bool] | None:
+    if expected == 0:
+        return None
+    for rung in ladder:
+        if rung.counts[dimension] >= expected:
+            return rung, True
+    return next(((rung, False) for rung in ladder if rung.counts[dimension]), None)
+
+
+def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -> Decision:
+    others = tuple(d for d in range(3) if d != dimension and expected[d] and rung.counts[d] == expected[d])
+    count = rung.counts[dimension]
+    if complete:
+        reasons.append(f"M = {rung.samples} is the first working density at which {expected[dimension]} of {expected[dimension]} expected "
+                       f"{NAMES[dimension]} clear the floor (tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor).")
+    else:
+        reasons.append(f"No working density shows all {expected[dimension]} {NAMES[dimension]}; M = {rung.samples} is the first that shows any "
+                       f"({count}, tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor), and the loss is restricted to it.")
+    left = [d for d in range(3) if d != dimension and d not in others and (expected[d] or rung.counts[d])]
+    reasons += [f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}." for d in left]
+    warnings = [f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are expected: a concavity that caps, "
+                "or a real feature of the clean surface; a count there is no phantom of a reconstruction."
+                for denser in by_samples.values() if denser.samples >= rung.samples for d in range(3) if denser.counts[d] > expected[d]]
+    warnings += [f"The {NAMES[d]} lie within {100 * NEAR:.0f} % of the floor at M = {rung.samples}: another sampling seed may decide otherwise."
+                 for d in range(3) if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])]
+    return Decision(dimension, rung.samples, tuple(sorted((dimension, *others))), complete, expected, basis, tuple(reasons), tuple(warnings))
+
+
+def _top(rung: Rung, dimension: int) -> float:
+    return max(rung.margins[dimension], default=0.0)

@@ -1,0 +1,159 @@
+"""Audit: the rule against every decision of the paper, bundles that training builds again, the report, and meshes with nothing to measure."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from paper_artifact import cli
+from paper_artifact.audit.audit import audit_mesh
+from paper_artifact.audit.page import audit_page, headline
+from paper_artifact.audit.rule import Rung, decide
+from paper_artifact.audit.view import light_mesh
+from paper_artifact.certify.certificate import certify
+from paper_artifact.cli.train import parse_changes
+from paper_artifact.errors import InputError
+from paper_artifact.mesh import checked_mesh
+from paper_artifact.report.staircase import measure
+from paper_artifact.scene.find import find_mesh
+from paper_artifact.topology.bundle import load_bundle
+from paper_artifact.train.config import default_config
+from paper_artifact.train.run import make_run_term, with_condition
+from tests import certify_shapes as shapes
+
+SMALL = dict(densities=(256, 512), working=(256, 512))
+CLOSED = certify(*shapes.ball())
+OPEN = certify(*shapes.bowl(), with_boundary=True)
+
+
+def rung(samples: int, h0: int, h1: int, h2: int, margin: float = 1.5) -> Rung:
+    """A rung with that signature (H0 with its infinite bar)."""
+    return Rung(samples, 0, 0.05, tuple((margin,) * count + (0.4,) for count in (h0 - 1, h1, h2)))
+
+
+# shape: certified Betti numbers, signatures at M = 2048, 4096, 8192, 20000 (notes and paper, Tables S3, S5, S11), class, M, dimensions, complete
+STUDY = {
+    "sphere": ((1, 0, 1), ["101", "101", "101", "101"], 2, 2048, (2,), True),
+    "torus": ((1, 2, 1), ["120", "121", "121", "121"], 1, 2048, (1,), True),
+    "two_spheres": ((2, 0, 2), ["202", "202", "202", "202"], 0, 2048, (0, 2), True),
+    "bob": ((1, 2, 1), ["121", "121", "121", "121"], 1, 2048, (1, 2), True),
+    "rocker-arm": ((1, 2, 1), ["110", "111", "112", "122"], 1, 2048, (1,), False),
+    "eight": ((1, 4, 1), ["121", "141", "141", "141"], 1, 8192, (1, 2), True),
+    "pot": ((1, 6, 1), ["100", "100", "101", "101"], 2, 8192, (2,), True),
+    "spot": ((1, 0, 1), ["101", "102", "102", "102"], 2, 2048, (2,), True),
+    "armadillo": ((1, 0, 1), ["101", "101", "101", "101"], 2, 2048, (2,), True),
+    "bowls": (None, ["101", "101", "101", "101"], 2, 2048, (2,), True),
+}
+
+
+@pytest.mark.parametrize("shape", STUDY)
+def test_the_rule_takes_the_papers_decisions(shape):
+    betti, signatures, dimension, samples, dimensions, complete = STUDY[shape]
+    certificate = OPEN if betti is None else replace(CLOSED, betti=betti)
+    rungs = [rung(m, *map(int, sign)) for m, sign in zip((2048, 4096, 8192, 20_000), signatures)]
+    for order in (rungs, rungs[::-1]):
+        decision = decide(order, certificate)
+        assert (decision.dimension, decision.samples, decision.dimensions, decision.complete) == (dimension, samples, dimensions, complete)
+        assert decision.basis == ("observation" if betti is None else "certificate") and decision.reasons
+
+
+def test_more_bars_than_certified_are_a_warning():
+    rungs = [rung(2048, 1, 0, 1), rung(4096, 1, 0, 2), rung(8192, 1, 0, 2)]
+    warnings = decide(rungs, CLOSED).warnings
+    assert len(warnings) == 2 and "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
+    assert "another sampling seed" in decide([rung(2048, 1, 0, 1, 1.05), rung(8192, 1, 0, 1, 2.0)], CLOSED).warnings[0]
+
+
+def test_a_certified_class_that_is_never_measurable_gives_way_to_what_is_seen():
+    decision = decide([rung(2048, 1, 0, 0), rung(8192, 1, 2, 0)], CLOSED)
+    assert (decision.dimension, decision.samples, decision.basis) == (1, 8192, "observation")
+
+
+def test_nothing_measurable_is_said():
+    decision = decide([rung(2048, 1, 0, 0), rung(8192, 1, 0, 0), rung(20_000, 1, 0, 1)], CLOSED)
+    assert decision.dimension is None and decision.samples is None and decision.dimensions == ()
+    assert "M = 20000 only" in decision.reasons[-1]
+    with pytest.raises(InputError, match="no rung at the working density"):
+        decide([rung(2048, 1, 0, 1)], CLOSED)
+
+
+def test_the_command_builds_the_audits_bundle_again():
+    audit = audit_mesh(find_mesh("sphere"), "sphere", **SMALL)
+    assert audit.decision.dimension == 2 and audit.bundle.samples == audit.decision.samples == 256
+    assert [re.search(r"--condition (\w+)", command)[1] for command in audit.commands] == ["C0", "C1", "C2"]
+    words = shlex.split(audit.commands[1])
+    assert words[:5] == ["python", "-m", "paper_artifact", "train", "sphere"]
+    changes = parse_changes([words[i + 1] for i, word in enumerate(words) if word == "--set"])
+    config = with_condition(default_config("sphere", condition="C1", steps=10, **changes), audit.mesh)
+    _, bundle = make_run_term(config, audit.mesh)
+    assert bundle.to_json() == audit.bundle.to_json() and config.budget == 1200
+
+
+def test_margins_are_those_of_the_bundles_own_samples():
+    audit = audit_mesh(find_mesh("torus"), densities=(300,), working=(600,), seeds=2, first_seed=3)
+    assert [(each.samples, each.seed) for each in audit.rungs] == [(300, 3), (300, 4), (600, 3), (600, 4)]
+    diagram, floor = measure(find_mesh("torus"), 600, 3)
+    longest = np.sort(diagram[1][:, 1] - diagram[1][:, 0])[::-1] / floor
+    assert audit.rungs[2].margins[1][:2] == pytest.approx(longest[:2], abs=1e-4)
+    assert audit.bundle.seed == 3 and audit.bundle.floor == pytest.approx(floor)
+
+
+def test_the_page_holds_everything_itself():
+    audit = audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)
+    page = audit_page(audit)
+    assert audit.certificate.passed and audit.certificate.kind == "disk" and audit.decision.basis == "observation"
+    assert page.startswith("<!DOCTYPE html>") and "<b>name</b>" not in page and "a &lt;b&gt;name&lt;/b&gt;" in page
+    assert page.count("data:image/svg+xml;base64,") == 2 and "<iframe" in page and "Betti numbers, Z/2" in page
+    assert not re.search(r"(src|href)=['\"]?https?:", page)
+    assert page == audit_page(audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)), "the same page again"
+
+
+def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, capsys):
+    trimesh.creation.box(extents=(1, 1, 0.001)).export(tmp_path / "sheet.ply")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "bundle.json").write_text("of an earlier audit")
+    arguments = ["audit", str(tmp_path / "sheet.ply"), "--out", str(tmp_path / "out"), "--quiet", "--densities", "128", "--working", "256"]
+    assert cli.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Nothing is measurable" in printed and "paper_artifact train" not in printed
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["audit.html", "audit.json"]
+    stored = json.loads((tmp_path / "out" / "audit.json").read_text())
+    assert stored["decision"]["samples"] is None and stored["bundle"] is None and stored["certificate"]["verdict"] == "pass"
+    assert "Nothing is measurable" in (tmp_path / "out" / "audit.html").read_text()
+
+
+def test_the_verb_writes_report_numbers_and_bundle(tmp_path, capsys):
+    trimesh.creation.torus(1.0, 0.38).export(tmp_path / "ring.stl")
+    arguments = ["audit", str(tmp_path / "ring.stl"), "--out", str(tmp_path / "out"), "--quiet", "--densities", "300", "--working", "600"]
+    assert cli.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "genus 1" in printed and "Observable: loops (H1)" in printed and "--condition C2" in printed
+    assert load_bundle(tmp_path / "out" / "bundle.json").samples == 600
+    stored = json.loads((tmp_path / "out" / "audit.json").read_text())
+    assert [each["samples"] for each in stored["staircase"]] == [300, 600] and len(stored["commands"]) == 3
+
+
+@pytest.mark.parametrize("options", [["--densities", "4"], ["--seeds", "0"], ["--seed", "-1"]])
+def test_bad_options_are_refused(options, tmp_path, capsys):
+    assert cli.main(["audit", "sphere", "--out", str(tmp_path / "out"), *options]) == 1
+    assert "an audit needs" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_failing_certificate_is_audited_by_what_is_seen():
+    audit = audit_mesh(checked_mesh(*shapes.joined(shapes.tetrahedron(), shapes.tetrahedron(sign=-1)), "pinched"), **SMALL)
+    assert not audit.certificate.passed and audit.decision.basis == "observation" and "certificate fails" in " ".join(audit.decision.reasons)
+    assert isinstance(headline(audit), str) and "fails" in audit_page(audit)
+
+
+def test_large_meshes_are_made_light_for_the_page():
+    sphere = trimesh.creation.icosphere(4)
+    mesh = checked_mesh(sphere.vertices, sphere.faces, "ball")
+    light = light_mesh(mesh, most=1000)
+    assert 100 < len(light.faces) <= 1000 and light.diagonal == pytest.approx(mesh.diagonal, rel=0.05)
+    assert light_mesh(mesh, most=6000).faces is mesh.faces
