@@ -1,0 +1,107 @@
+"""Two runs of the smallest kind for the sweep's tests, and a way to stop one in the middle, at a step that is known."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from paper_artifact.train.config import default_config
+
+CONFIGS = tuple(default_config("sphere", seed=seed, steps=12, budget=30, views=8, size=32, initial_ratio=3.0, resample_every=4,
+                               samples=300, dump_steps=(6, 10, 12)) for seed in (0, 1))
+STEP = 8  # of the checkpoint after which `blocked_run` stops
+
+# Imported by every Python that finds it on PYTHONPATH. The first run that writes its checkpoint of STEP leaves a marker and waits
+# for ever; all others go on.
+_BLOCK = """
+import os, sys, time
+from importlib.machinery import PathFinder
+
+def wait_once(step):
+    try:
+        handle = os.open(os.environ["BLOCKED_RUN"] + ".lock", os.O_CREAT | os.O_EXCL)
+    except FileExistsError:
+        return
+    os.close(handle)
+    with open(os.environ["BLOCKED_RUN"] + ".new", "w") as file:
+        file.write(f"{os.getpid()} {os.getppid()}")
+    os.rename(file.name, os.environ["BLOCKED_RUN"])
+    while True:
+        time.sleep(1)
+
+class Finder:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name != "paper_artifact.train.loop":
+            return None
+        spec = PathFinder.find_spec(name, path)
+        execute = spec.loader.exec_module
+        def exec_module(module):
+            execute(module)
+            write = module.write_checkpoint
+            def write_checkpoint(path, config, step, *others):
+                write(path, config, step, *others)
+                if step == STEP:
+                    wait_once(step)
+            module.write_checkpoint = write_checkpoint
+        spec.loader.exec_module = exec_module
+        return spec
+
+sys.meta_path.insert(0, Finder)
+"""
+
+
+@dataclass
+class Marker:
+    """What a stopped run leaves: pid: of its process, parent: of the process that started it, step: of its last checkpoint."""
+
+    path: Path
+    step: int = STEP
+    pid: int = 0
+    parent: int = 0
+
+    def wait(self, process=None) -> None:
+        """Wait until a run has been stopped; process: what must not end before (a Popen), if any."""
+        while not self.path.exists():
+            assert process is None or process.poll() is None, "the sweep ended without a run that was stopped"
+            time.sleep(0.05)
+        self.pid, self.parent = (int(word) for word in self.path.read_text().split())
+
+
+def blocked_run(folder: Path, monkeypatch) -> Marker:
+    """Let the first run that is started from now on stop after its checkpoint of STEP, until its process is killed."""
+    (folder / "path").mkdir()
+    (folder / "path" / "sitecustomize.py").write_text(_BLOCK.replace("STEP", str(STEP)))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder / "path"), *filter(None, [os.environ.get("PYTHONPATH")])]))
+    monkeypatch.setenv("BLOCKED_RUN", str(folder / "blocked"))
+    return Marker(folder / "blocked")
+
+
+def wait_for_end(pid: int) -> None:
+    """Wait until the process `pid` is no more (a zombie that nobody has waited for counts as ended)."""
+    while True:
+        try:
+            os.kill(pid, 0)
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                return
+        except (ProcessLookupError, FileNotFoundError):
+            return
+        time.sleep(0.05)
+
+
+def results_with_scene(folder: Path, copy_of: Path | None = None) -> Path:
+    """Make a results folder, with the scenes and targets of another one where given."""
+    folder.mkdir()
+    for name in ("scenes", "targets") if copy_of else ():
+        shutil.copytree(copy_of / name, folder / name)
+    return folder
+
+
+def same_run(first: dict, second: dict) -> bool:
+    """Say whether two records are of the same run, whatever machine, time and stops it had."""
+    circumstances = ("timings", "host", "resumed_at", "cpu_seconds", "digest")
+    return all({name: value for name, value in record.items() if name not in circumstances}
+               == {name: value for name, value in first.items() if name not in circumstances} for record in (first, second))

@@ -1,0 +1,262 @@
+"""The sweep: its tables, what is not run again, what is killed, what fails; by processes here, by Dask in test_sweep_dask."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import asdict, replace
+
+import pytest
+
+from paper_artifact import cli
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY
+from paper_artifact.record.record import find_records, record_path
+from paper_artifact.scene.shapes import SHAPES
+from paper_artifact.study import studies
+from paper_artifact.study import sweep as sweep_module
+from paper_artifact.study.studies import STUDIES, study_configs
+from paper_artifact.study.sweep import Estimate, Outcome, complete, missing, sweep
+from paper_artifact.study.worker import config_from
+from paper_artifact.train.run import with_condition
+from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
+
+# --- the tables ----------------------------------------------------------------------------------------------------------------
+
+
+def table(configs) -> Counter:
+    """Return the number of seeds per (shape, condition), with a check that they are 0, 1, 2, …"""
+    seeds: dict[tuple[str, str], list[int]] = {}
+    for config in configs:
+        seeds.setdefault((config.shape, config.condition), []).append(config.seed)
+    assert all(values == list(range(len(values))) for values in seeds.values())
+    return Counter({key: len(values) for key, values in seeds.items()})
+
+
+def test_table1_is_the_papers():
+    expected = {(shape, condition): 5 for shape in ("sphere", "torus") for condition in ("C0", "C1", "C2", "C2g", "C3", "C6")}
+    expected |= {(shape, condition): 3 for shape in ("sphere", "torus") for condition in ("C7", "C7h")}
+    expected |= {(shape, condition): 3 for shape in ("cube", "two_spheres") for condition in ("C0", "C1", "C2")}
+    expected |= {("double_torus", condition): 5 for condition in ("C0", "C1", "C2")}
+    assert table(study_configs("table1")) == expected
+
+
+@pytest.mark.parametrize("name, runs", [("baseline", 9), ("table1", 105), ("table2", 63), ("bowls", 18)])
+def test_every_run_of_a_study_has_a_record_of_its_own_and_survives_json(name, runs):
+    configs = study_configs(name)
+    assert len(configs) == runs == sum(table(configs).values())
+    configs = [with_condition(config, None) for config in configs]  # the mesh does not matter to the parameters
+    assert len({record_path(config).name for config in configs}) == runs
+    for config in configs:
+        back = config_from(json.loads(json.dumps(asdict(config))))
+        assert back == config and record_path(back) == record_path(config)
+        assert (config.steps, len(config.dump_steps), config.samples) == (2500, 12, 20_000)
+
+
+def test_all_runs_of_a_shape_share_every_setting_but_the_conditions():
+    for name in STUDIES:
+        settings = {}
+        for config in study_configs(name):
+            settings.setdefault(config.shape, set()).add(replace(config, condition="C0", seed=0, topology=()))
+        assert all(len(values) == 1 for values in settings.values())
+        shared = {replace(*values, shape="", budget=1) for values in settings.values()}
+        assert len(shared) == 1, "one set of hyperparameters for all shapes"
+
+
+def test_a_study_cut_short_leaves_whole_seeds():
+    first = study_configs("table1")[:6]
+    assert {config.seed for config in first} == {0} and table(first) == {
+        (shape, condition): 1 for shape in ("sphere", "torus") for condition in ("C0", "C1", "C2")}
+
+
+def test_restrictions():
+    assert table(study_configs("table1", ["torus"], ["C1", "C7"], [0, 1])) == {("torus", "C1"): 2, ("torus", "C7"): 2}
+    assert table(study_configs("table1", [], None, [0])).total() == 25
+    assert [config.seed for config in study_configs("table1", ["cube"], ["C2"])] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (("table9",), "unknown study 'table9'; choose one of baseline, table1"),
+    (("table1", ["spot"]), "has no shape spot; choose among sphere, torus, cube"),
+    (("table1", ["sphere", "shpere"]), "has no shape shpere"),
+    (("table1", None, ["C9"]), "has no condition C9"),
+    (("table1", None, None, [5]), "has no seed 5; choose among 0, 1, 2, 3, 4"),
+    (("table1", ["cube"], ["C6"]), "has no run with shape"),
+])
+def test_unknown_names_are_refused(arguments, words):
+    with pytest.raises(InputError, match=words):
+        study_configs(*arguments)
+
+
+def test_the_analytic_studies_need_no_download():
+    for name in ("table1", "bowls"):
+        assert {config.shape for config in study_configs(name)} <= set(SHAPES)
+
+
+# --- the estimate --------------------------------------------------------------------------------------------------------------
+
+
+def test_estimate_from_fake_durations():
+    configs = study_configs("table1", ["sphere"], ["C0", "C1"], [0, 1, 2])  # C0, C1, C0, C1, C0, C1
+    estimate = Estimate(configs, workers=2)
+    assert estimate.seconds() is None and "unknown" in estimate.text()
+    estimate.ended(Outcome(configs[1], 1.0, "it broke at once"))
+    assert estimate.seconds() is None, "a failed run says nothing about the others"
+    estimate.ended(Outcome(configs[0], 600.0, None))
+    assert estimate.seconds() == 4 * 600 / 2  # C1 has not been seen: as long as the others
+    assert estimate.text() == "about 20 min left"
+    estimate.ended(Outcome(configs[3], 1200.0, None))
+    assert estimate.seconds() == (2 * 600 + 1200) / 2
+    estimate.ended(Outcome(configs[2], 660.0, None))
+    assert estimate.seconds() == (630 + 1200) / 2
+    estimate.ended(Outcome(configs[5], 1200.0, None))
+    assert estimate.seconds() == 630, "one run left keeps one worker busy, not two"
+    estimate.ended(Outcome(configs[4], 630.0, None))
+    assert estimate.seconds() == 0 and estimate.text() == "about 0 min left"
+
+
+# --- runs in processes ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """(results, outcomes, reports) of two runs and one whose mesh file vanishes between the sweep's look at it and the run."""
+    folder = tmp_path_factory.mktemp("swept")
+    results, vanishing = results_with_scene(folder / "results"), folder / "vanishing.obj"
+    vanishing.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    reports = []
+
+    def report(*arguments):
+        reports.append(arguments)
+        vanishing.unlink(missing_ok=True)
+
+    outcomes = sweep([replace(CONFIGS[0], shape=str(vanishing)), *CONFIGS], results, workers=2, report=report)
+    return results, outcomes, reports
+
+
+def test_a_failing_run_is_told_and_the_others_are_done(swept):
+    results, outcomes, reports = swept
+    (failed,) = (outcome for outcome in outcomes if outcome.failure)
+    assert "vanishing.obj" in failed.failure and "Traceback" not in failed.failure
+    records = find_records(results / "runs")
+    assert [record["config"]["seed"] for record in records] == [0, 1] and len(outcomes) == 3
+    assert all(record["dumps"] and record["resumed_at"] is None for record in records)
+    assert not list((results / "checkpoints").iterdir())
+    assert [ended for _, ended, _ in reports] == [0, 1, 2, 3] and {total for _, _, total in reports} == {3}
+    assert reports[0][0].startswith("0 of 3 recorded") and sum("FAILED" in text for text, _, _ in reports) == 1
+    assert reports[-1][0].endswith("about 0 min left")
+
+
+def test_what_is_recorded_is_not_run_again(swept, monkeypatch, capsys):
+    results, _, _ = swept
+    monkeypatch.setattr(sweep_module, "start_run", None)  # calling it would fail
+    times = {path: path.stat().st_mtime_ns for path in (results / "runs").iterdir()}
+    reports = []
+    assert sweep(list(CONFIGS), results, report=lambda *arguments: reports.append(arguments)) == []
+    assert {path: path.stat().st_mtime_ns for path in (results / "runs").iterdir()} == times
+    assert reports == [("2 of 2 recorded; about 0 min left", 0, 0)]
+    monkeypatch.setattr(studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed))
+    assert cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--seed=0", f"--results={results}"]) == 0
+    assert "0 runs done, 1 were recorded before, 0 failed" in capsys.readouterr().out
+    assert cli.main(["sweep", "baseline", "--shape=sphere", "--list", f"--results={results}"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["missing: sphere C0 seed 2", "2 of 3 runs recorded"]
+
+
+def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsys):
+    results, _, _ = swept
+    asked = []
+
+    def fail(todo, results, workers, device):
+        asked.append((workers, device))
+        yield from (Outcome(config, 1.0, f"no luck with {config.seed}") for config in todo)
+
+    monkeypatch.setattr(sweep_module, "run_processes", fail)
+    monkeypatch.setattr(studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed))
+    assert cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"]) == 1
+    assert capsys.readouterr().out.splitlines() == ["0 runs done, 2 were recorded before, 1 failed",
+                                                    "  sphere C0 seed 2: no luck with 2"]
+    assert asked == [(3, "cpu")]
+
+
+def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch):
+    results = results_with_scene(tmp_path / "results", copy_of=swept[0])
+    with monkeypatch.context() as patched:
+        marker = blocked_run(tmp_path, patched)
+        program = ("from pathlib import Path\nfrom paper_artifact.study.sweep import sweep\nfrom tests.sweep_runs import CONFIGS\n"
+                   f"sweep([CONFIGS[0]], Path({str(results)!r}))")
+        process = subprocess.Popen([sys.executable, "-c", program], cwd=REPOSITORY, start_new_session=True)
+        marker.wait(process)
+        os.killpg(process.pid, signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+    wait_for_end(marker.pid)
+    assert missing(complete(list(CONFIGS)), results) == list(CONFIGS) and len(list((results / "checkpoints").iterdir())) == 1
+    (outcome,) = sweep([CONFIGS[0]], results)
+    assert outcome.failure is None
+    (record,), expected = find_records(results / "runs"), find_records(swept[0] / "runs", seed=0)[0]
+    assert record["resumed_at"] == marker.step and same_run(record, expected)
+
+
+def test_a_damaged_record_is_never_overwritten(swept, tmp_path, monkeypatch):
+    results = results_with_scene(tmp_path / "results")
+    path = record_path(CONFIGS[1], results / "runs")
+    path.parent.mkdir()
+    text = record_path(CONFIGS[1], swept[0] / "runs").read_text()
+    monkeypatch.setattr(sweep_module, "start_run", None)
+    for bad in (text[: len(text) // 2], text.replace('"sphere"', '"torus"'), ""):
+        path.write_text(bad)
+        with pytest.raises(InputError, match=path.name):
+            sweep(list(CONFIGS), results)
+        assert path.read_text() == bad
+
+
+def test_a_run_ended_by_a_signal_or_without_a_word(monkeypatch):
+    def start(command):
+        return lambda values, results, device: subprocess.Popen(
+            [sys.executable, "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def failure(command):
+        monkeypatch.setattr(sweep_module, "start_run", start(command))
+        (outcome,) = sweep_module.run_processes([CONFIGS[0]], REPOSITORY, 1, "cpu")
+        return outcome.failure
+
+    assert failure("import os; os.kill(os.getpid(), 9)") == "the process was ended by signal 9"
+    assert failure("raise SystemExit(4)") == "the process ended with exit code 4"
+    assert failure("raise ValueError('first\\nlast')") == "last"
+    assert failure("import sys; print('a warning', file=sys.stderr)") is None
+
+
+def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
+    children = []
+
+    def start(values, results, device):
+        command = [sys.executable, "-c", "import time; time.sleep(600)" if values["seed"] else "pass"]
+        children.append(subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return children[-1]
+
+    monkeypatch.setattr(sweep_module, "start_run", start)
+
+    def interrupt(text, ended, total):
+        if ended:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep_module, "missing", lambda configs, results: configs)
+    with pytest.raises(KeyboardInterrupt):
+        sweep([replace(CONFIGS[0], seed=seed) for seed in range(5)], REPOSITORY, workers=2, report=interrupt)
+    assert children and all(child.returncode in (0, -signal.SIGTERM) for child in children) and len(children) < 5
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["table9"], "unknown study 'table9'"),
+    (["table1", "--workers=0"], "--workers must be at least 1, got 0"),
+    (["table1", "--executor=dask"], "belong together"),
+    (["table1", "--scheduler=tcp://127.0.0.1:1"], "belong together"),
+])
+def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sweep_module, "start_run", None)
+    assert cli.main(["sweep", *arguments, "--quiet", f"--results={tmp_path / 'results'}"]) == 1
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1
