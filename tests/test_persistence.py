@@ -116,7 +116,8 @@ def exact_diagrams(points: np.ndarray) -> list[np.ndarray]:
 
 
 def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
-    """The largest difference of two diagrams' bars longer than 1e-8 of the scale, or of a bar near that length to the diagonal."""
+    """The largest difference of two diagrams' bars longer than 1e-8 of the scale, or of a bar near that length to the
+    diagonal."""
     # a cut in the middle of a gap between bar lengths, so that rounding cannot move a bar across it
     lengths = np.sort(np.concatenate([ours[:, 1] - ours[:, 0], theirs[:, 1] - theirs[:, 0], [1e-9 * scale, 1e-8 * scale]]))
     window = lengths[(lengths >= 1e-9 * scale) & (lengths <= 1e-8 * scale)]
@@ -280,8 +281,8 @@ def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
 def near_degenerate(k: int) -> np.ndarray:
     """Five points of a lattice or a plane or a sphere, some of them off by little."""
     rng = draw(f"predicate {k}")
-    points = [rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3)), sphere(5000)[5 * k % 4000 :][:5]][k % 3].copy()
-    return points + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
+    bases = rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3)), sphere(5000)[5 * k % 4000 :][:5]
+    return bases[k % 3] + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
 @pytest.mark.parametrize("part", range(3))
@@ -292,7 +293,7 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
         assert np.sign(predicates.orient3d(points, 0, 1, 2, 3, WS)) == np.sign(orient)
         vectors = fractions(points, 4)
         sphere_sign = determinant([[*v, sum(x * x for x in v)] for v in vectors])
-        # Shewchuk's convention: the determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented tetrahedron
+        # the determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented tetrahedron (Shewchuk)
         assert np.sign(predicates.insphere(points, 0, 1, 2, 3, 4, WS)) == np.sign(sphere_sign)
         a, b = fractions(points[:3], 2)
         assert predicates.edge_excludes(points, 0, 1, 2, WS) == (sum(x * y for x, y in zip(a, b)) >= 0)
@@ -373,7 +374,8 @@ def test_a_star_of_many_cells_grows_the_workspaces():
 
 def test_sort_keys_is_a_stable_sort():
     rng = draw("sort")
-    for keys in (rng.integers(0, 2**63, 5000).astype(np.uint64), rng.integers(0, 9, 5000).astype(np.uint64), np.zeros(0, np.uint64)):
+    for top, size in ((2**63, 5000), (9, 5000), (9, 0)):
+        keys = rng.integers(0, top, size).astype(np.uint64)
         np.testing.assert_array_equal(ordering.sort_keys(keys), np.argsort(keys, kind="stable"))
 
 

@@ -32,12 +32,16 @@ def _uniform(n: int, rng: np.random.Generator) -> np.ndarray:
 CLOUDS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
 
 
-def persistence_rows(sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetitions: int = 7, cloud: str = "torus") -> list[dict]:
-    """One row per cloud size M: CPU milliseconds of one process (medians over repetitions in which the two take turns) and ratios.
+def persistence_rows(
+    sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetitions: int = 7, cloud: str = "torus"
+) -> list[dict]:
+    """One row per cloud size M: CPU milliseconds of one process (medians over repetitions in which the two take turns) and
+    ratios.
 
-    Keys: cloud, M, gudhi_ms, fast_ms, ratio (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage, which costs
-    gudhi a Python loop over the pairs), and for each stage of delaunay, filtration, reduction, pairs: gudhi_STAGE_ms, fast_STAGE_ms,
-    ratio_STAGE. gudhi's simplex tree is built within its filtration stage. Compilation is done before the clock starts.
+    Keys: cloud, M, gudhi_ms, fast_ms, ratio (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage,
+    which costs gudhi a Python loop over the pairs), and for each stage of delaunay, filtration, reduction, pairs:
+    gudhi_STAGE_ms, fast_STAGE_ms, ratio_STAGE. gudhi's simplex tree is built within its filtration stage. Compilation is done
+    before the clock starts.
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
@@ -59,7 +63,8 @@ def persistence_rows(sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetit
                 clocks[name].append(clock)
         median = {k: {s: 1e3 * float(np.median([c[s] for c in v])) for s in (*STAGES, "total")} for k, v in clocks.items()}
         gudhi, fast = median["gudhi"], median["fast"]
-        row = {"cloud": cloud, "M": size, "gudhi_ms": gudhi["total"], "fast_ms": fast["total"], "ratio": gudhi["total"] / fast["total"]}
+        row = {"cloud": cloud, "M": size, "gudhi_ms": gudhi["total"], "fast_ms": fast["total"]}
+        row["ratio"] = gudhi["total"] / fast["total"]
         row["ratio_without_pairs"] = (gudhi["total"] - gudhi["pairs"]) / (fast["total"] - fast["pairs"])
         for s in STAGES:
             row |= {f"gudhi_{s}_ms": gudhi[s], f"fast_{s}_ms": fast[s], f"ratio_{s}": gudhi[s] / max(fast[s], 1e-6)}

@@ -1,9 +1,9 @@
 """Three-dimensional Delaunay triangulation by incremental insertion, exact for every input.
 
 Bowyer-Watson insertion in biased randomised Hilbert order with a walk for location. Outside the convex hull lie "infinite"
-tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point counts as lifted infinitesimally higher on
-the paraboloid than all earlier ones, so a point on a sphere is outside it; the result is a regular triangulation of the perturbed
-lift, has no flat tetrahedron, and the alpha persistence diagram does not depend on the choice.
+tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point counts as lifted infinitesimally
+higher on the paraboloid than all earlier ones, so a point on a sphere is outside it; the result is a regular triangulation of
+the perturbed lift, has no flat tetrahedron, and the alpha persistence diagram does not depend on the choice.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ START = np.array(
 
 
 def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
-    """Whether three points (3, 3) are exactly collinear: all coordinate projections have zero area, each read off an orientation with a
-    fourth point above."""
+    """Whether three points (3, 3) are exactly collinear: all coordinate projections have zero area, each read off an
+    orientation with a fourth point above."""
     for axis in range(3):
         lifted = np.zeros((4, 3))
         lifted[:3, :2] = np.delete(points, axis, axis=1)
@@ -125,12 +125,12 @@ def _grown(array: np.ndarray, rows: int) -> np.ndarray:
 
 @njit("Tuple((int32[:,::1], int64))(float64[:,::1])", cache=True, nogil=True)
 def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
-    """Delaunay tetrahedra of (n, 3) float64 points, n >= 4, scaled as ordering.normalised does, inserted in the order given; the first
-    four rows are affinely independent and positively oriented (first_tetrahedron).
+    """Delaunay tetrahedra of (n, 3) float64 points, n >= 4, scaled as ordering.normalised does, inserted in the order given;
+    the first four rows are affinely independent and positively oriented (first_tetrahedron).
 
     Returns mesh (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively oriented,
-    infinite cells with vertex -1 in column 3, unused rows with -2 in column 0; and the number of distinct points. A row that exactly
-    duplicates an earlier one is in no cell.
+    infinite cells with vertex -1 in column 3, unused rows with -2 in column 0; and the number of distinct points. A row that
+    exactly duplicates an earlier one is in no cell.
     """
     n = len(points)
     ws = np.empty(WORKSPACE)
@@ -255,7 +255,8 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
 
 @njit(cache=True, nogil=True)
 def finite_cells(mesh: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The finite cells of `triangulate` with row v renamed rank[v], sorted by their smallest vertex so that near cells are near in memory.
+    """The finite cells of `triangulate` with row v renamed rank[v], sorted by their smallest vertex so that near cells are
+    near in memory.
 
     rank: (n,) int32, a permutation. Returns cells (m, 4) and neighbours (m, 4), int32, -1 for the outside of the hull.
     """

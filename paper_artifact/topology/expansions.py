@@ -3,9 +3,10 @@
 A formula is written once, as a `Formula` of sums and products of coordinate differences, and evaluated in either arithmetic by a
 small interpreter: the rare path stays short to compile.
 
-An expansion is a sum of doubles, smallest first, that do not overlap: it holds a real number exactly (Shewchuk, "Adaptive Precision
-Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997). A double-double is the rounded sum of two. Exact as long as
-nothing over- or underflows: the caller scales coordinates to about 1 and keeps them multiples of 2^-120 (ordering.normalised).
+An expansion is a sum of doubles, smallest first, that do not overlap: it holds a real number exactly (Shewchuk, "Adaptive
+Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997). A double-double is the rounded sum of two.
+Exact as long as nothing over- or underflows: the caller scales coordinates to about 1 and keeps them multiples of 2^-120
+(ordering.normalised).
 
 Expansions live in a workspace `ws` (float64); register r of a formula is `loc[r] = (offset, length)`, a zero has length 0.
 """
@@ -176,7 +177,8 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
 
 @njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1], float64[:, ::1]), cache=True, nogil=True)
 def exact(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray) -> float:
-    """A formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded: the sign is right, the error below 2^-51.
+    """A formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded: the sign is right, the error below
+    2^-51.
 
     values: (registers, 2) float64, filled with every step's rounded value (and 0).
     """

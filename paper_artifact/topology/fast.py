@@ -11,8 +11,8 @@ from paper_artifact.topology.expansions import WORKSPACE
 
 
 def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
-    """For dimensions 0, 1, 2: (births, deaths, birth simplices, death simplices), SQUARED radii in the unit of the points squared and
-    row indices of `points`; births < deaths in dimensions 1 and 2. None when the points span no tetrahedron.
+    """For dimensions 0, 1, 2: (births, deaths, birth simplices, death simplices), SQUARED radii in the unit of the points
+    squared and row indices of `points`; births < deaths in dimensions 1 and 2. None when the points span no tetrahedron.
 
     points: (n, 3) float64, finite. `marks` receives the process' CPU time at the start of each stage of persistence.STAGES.
     """

@@ -1,10 +1,10 @@
 """The alpha filtration on a Delaunay triangulation: triangles, edges and every simplex' value, a squared radius.
 
-A tetrahedron has its squared circumradius; a triangle or edge its own if it is Gabriel (no coface's opposite vertex strictly inside its
-smallest circumsphere; decided exactly), else the smallest value of its cofaces. A value never exceeds a coface's.
+A tetrahedron has its squared circumradius; a triangle or edge its own if it is Gabriel (no coface's opposite vertex strictly
+inside its smallest circumsphere; decided exactly), else the smallest value of its cofaces. A value never exceeds a coface's.
 
-Accuracy: float64 for a well-shaped simplex, judged by its determinant; double-doubles for a flat one; exact expansions for one flat
-beyond that. Squared radii carry a relative error below 1e-10, mostly 1e-15.
+Accuracy: float64 for a well-shaped simplex, judged by its determinant; double-doubles for a flat one; exact expansions for one
+flat beyond that. Squared radii carry a relative error below 1e-10, mostly 1e-15.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ FLATTER = 1e-18  # ... and in exact expansions (double-doubles: 1e-30 / FLATTER 
 
 
 def _circumcentre() -> tuple[np.ndarray, np.ndarray]:
-    """Steps for a tetrahedron with difference vectors u, v, w, and the registers of N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), twice
-    the determinant times the vector to the circumcentre; the determinant u·(v x w) comes last."""
+    """Steps for a tetrahedron with difference vectors u, v, w, and the registers of N = |u|²(v x w) + |v|²(w x u) + |w|²(u x
+    v), twice the determinant times the vector to the circumcentre; the determinant u·(v x w) comes last."""
     formula = Formula(3)
     u, v, w = formula.inputs
     vw, wu, uv = formula.cross(v, w), formula.cross(w, u), formula.cross(u, v)
@@ -88,8 +88,8 @@ def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -
 
 @njit(cache=True, nogil=True)
 def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles of (m, 4) cells: (cell_triangles (m, 4), triangle opposite each vertex; triangles (k, 3) vertices; sides (k, 2),
-    the cells on both sides, -1 outside the hull), all int32."""
+    """The triangles of (m, 4) cells: (cell_triangles (m, 4), triangle opposite each vertex; triangles (k, 3) vertices; sides
+    (k, 2), the cells on both sides, -1 outside the hull), all int32."""
     m = len(cells)
     hull = 0
     for t in range(m):

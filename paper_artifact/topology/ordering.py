@@ -10,7 +10,8 @@ HILBERT_BITS = 16  # per axis
 
 
 def normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """(scaled points, unit) with points = unit * scaled: unit a power of two, scaled coordinates in [-1, 1] and multiples of 2^-120.
+    """(scaled points, unit) with points = unit * scaled: unit a power of two, scaled coordinates in [-1, 1] and multiples of
+    2^-120.
 
     points: (n, 3) float64, finite. The products of the exact predicates then neither over- nor underflow. Scaling is exact; only
     coordinates below 2^-67 of the largest are rounded, by at most 2^-121 of it, which moves no bar by more.
@@ -90,8 +91,9 @@ def _hilbert(x: int, y: int, z: int) -> int:
 def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
     """The order in which to insert (n, 3) float64 points: (n,) int32. n > 0.
 
-    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over rounds that double in
-    size, and each round follows the Hilbert curve, so the next point is close to the last. With `rounds` = 0 the plain Hilbert order.
+    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over rounds that
+    double in size, and each round follows the Hilbert curve, so the next point is close to the last.
+    With `rounds` = 0 the plain Hilbert order.
     """
     low = points.min(axis=0)
     extent = float((points.max(axis=0) - low).max())

@@ -48,10 +48,11 @@ def alpha_persistence(points: np.ndarray, method: str = "fast") -> tuple[Pairs, 
     """The finite bars of positive length of the alpha filtration of `points`, for dimensions 0, 1 and 2.
 
     points: (n, 3) array, n >= 0, converted to float64; any unit. Returned births and deaths are radii in the same unit.
-    A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected component that
-    never dies is left out as well; no other class is infinite. Exact duplicates of a point are one point of the filtration; a simplex
-    names one of them. Small and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars, 2 points or
-    collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds without a tetrahedron to gudhi.)
+    A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected component
+    that never dies is left out as well; no other class is infinite. Exact duplicates of a point are one point of the filtration;
+    a simplex names one of them. Small and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars,
+    2 points or collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds that span no tetrahedron
+    to gudhi.)
 
     Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
     """
@@ -80,7 +81,8 @@ def check_points(points: np.ndarray) -> np.ndarray:
 
 
 def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple[Pairs, Pairs, Pairs]:
-    """The fast path; a cloud that spans no tetrahedron goes to gudhi. Arguments and result as alpha_persistence, which checks the points.
+    """The fast path; a cloud that spans no tetrahedron goes to gudhi. Arguments and result as alpha_persistence, which checks
+    the points.
 
     clock: when given, receives the CPU seconds of this process for each of STAGES.
     """
@@ -96,10 +98,11 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
 
 
 def gudhi_persistence(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple[Pairs, Pairs, Pairs]:
-    """The oracle: gudhi's alpha complex (exact predicates, `safe` values) and its Z/2 pairs. Arguments and result as fast_persistence.
+    """The oracle: gudhi's alpha complex (exact predicates, `safe` values) and its Z/2 pairs. Arguments and result as
+    fast_persistence.
 
-    gudhi's `safe` radii are exact to 1e-5 relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of 1e-10,
-    where we saw 4e-8); the fast path's agree with precision `exact` to 1e-9 there as well.
+    gudhi's `safe` radii are exact to 1e-5 relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of
+    1e-10, where we saw 4e-8); the fast path's agree with precision `exact` to 1e-9 there as well.
     """
     marks = [time.process_time()]
     complex_ = gudhi.AlphaComplex(points=points, precision="safe")

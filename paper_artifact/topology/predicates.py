@@ -1,8 +1,9 @@
 """Exact signs of the three geometric tests of the alpha complex: orientation, in-sphere, Gabriel.
 
-Each is evaluated in float64 first and accepted when it exceeds a proven error bound (Shewchuk 1997); the rest goes to double-doubles
-with a bound, and what is still open to exact expansions, so every sign is right for coplanar, cospherical and lattice-like input.
-`points` is (n, 3) float64, scaled as ordering.normalised does; a..e are row indices; `ws` is a workspace of expansions.WORKSPACE.
+Each is evaluated in float64 first and accepted when it exceeds a proven error bound (Shewchuk 1997); the rest goes to
+double-doubles with a bound, and what is still open to exact expansions, so every sign is right for coplanar, cospherical and
+lattice-like input. `points` is (n, 3) float64, scaled as ordering.normalised does; a..e are row indices; `ws` is a workspace
+of expansions.WORKSPACE.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
 
 @njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
-    """A number with the sign of the in-sphere determinant: positive when e lies inside the sphere through a, b, c, d, which must be
-    positively oriented (orient3d > 0); 0 exactly when cospherical."""
+    """A number with the sign of the in-sphere determinant: positive when e lies inside the sphere through a, b, c, d, which
+    must be positively oriented (orient3d > 0); 0 exactly when cospherical."""
     ex, ey, ez = points[e, 0], points[e, 1], points[e, 2]
     aex, aey, aez = points[a, 0] - ex, points[a, 1] - ey, points[a, 2] - ez
     bex, bey, bez = points[b, 0] - ex, points[b, 1] - ey, points[b, 2] - ez
@@ -147,8 +148,9 @@ def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) ->
 def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> bool:
     """True unless a lies strictly inside the smallest circumsphere of the triangle (b, c, d).
 
-    With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the circumcentre of the
-    tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the circumcentre lies on the far side of the triangle.
+    With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the circumcentre of
+    the tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the circumcentre lies on the far side of the
+    triangle.
     """
     ux, uy, uz = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
     vx, vy, vz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]

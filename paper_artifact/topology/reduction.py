@@ -1,10 +1,10 @@
 """Persistence pairs of a filtered Delaunay triangulation over Z/2.
 
-The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars. First the apparent pairs are taken out:
-a simplex and its earliest coface of which it is the latest face (Bauer 2021); they are most of the complex, and empty when the values
-are equal. Of what is left: H0 by union-find over the edges in increasing value; H2 by duality, union-find over the tetrahedra and the
-outside with the triangles in decreasing value; H1 by column reduction of the triangles that kill loops (clearing: Chen & Kerber 2011;
-paper, Method).
+The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars. First the apparent pairs are
+taken out: a simplex and its earliest coface of which it is the latest face (Bauer 2021); they are most of the complex, and
+empty when the values are equal. Of what is left: H0 by union-find over the edges in increasing value; H2 by duality,
+union-find over the tetrahedra and the outside with the triangles in decreasing value; H1 by column reduction of the triangles
+that kill loops (clearing: Chen & Kerber 2011; paper, Method).
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from numba import njit
 
 from paper_artifact.topology.ordering import sort_keys
 
-OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3  # a triangle: not yet paired; paired at once with a cell; with a cell; at once with an edge
+# a triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an edge
+OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3
 
 
 def increasing(values: np.ndarray) -> np.ndarray:
@@ -32,8 +33,8 @@ def _root(parents: np.ndarray, i: int) -> int:
 
 @njit(cache=True, nogil=True)
 def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray) -> tuple:
-    """Empty pairs of a triangle and a cell: (state (k,) int8 of each triangle, parents (m+1,) int32: the cell, or m for the outside,
-    that a cell so filled belongs to from then on)."""
+    """Empty pairs of a triangle and a cell: (state (k,) int8 of each triangle, parents (m+1,) int32: the cell, or m for the
+    outside, that a cell so filled belongs to from then on)."""
     m = len(cell_values)
     state = np.zeros(len(sides), dtype=np.int8)
     parents = np.arange(m + 1).astype(np.int32)
@@ -56,7 +57,9 @@ def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, of_cell
 
 
 @njit(cache=True, nogil=True)
-def apparent_loops(triangle_values: np.ndarray, edge_values: np.ndarray, of_triangle: np.ndarray, state: np.ndarray) -> np.ndarray:
+def apparent_loops(
+    triangle_values: np.ndarray, edge_values: np.ndarray, of_triangle: np.ndarray, state: np.ndarray
+) -> np.ndarray:
     """Empty pairs of an edge and a triangle: (e,) int32, the triangle or -1; those triangles' state becomes KILLS."""
     first = np.full(len(edge_values), np.int32(-1))
     for f in range(len(of_triangle)):
@@ -79,8 +82,8 @@ def apparent_loops(triangle_values: np.ndarray, edge_values: np.ndarray, of_tria
 
 @njit(cache=True, nogil=True)
 def components(edges: np.ndarray, order: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool for each edge); of two components the one whose
-    first vertex has the larger index ends. `order`: the edges in increasing value."""
+    """H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool for each edge); of two components the
+    one whose first vertex has the larger index ends. `order`: the edges in increasing value."""
     parents = np.arange(vertex_count).astype(np.int32)
     merges = np.zeros(len(edges), dtype=np.bool_)
     births, deaths = np.empty(vertex_count, dtype=np.int32), np.empty(vertex_count, dtype=np.int32)
@@ -154,13 +157,18 @@ def _grown(array: np.ndarray, used: int, size: int) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def loops(
-    of_triangle: np.ndarray, order: np.ndarray, state: np.ndarray, edge_order: np.ndarray, merges: np.ndarray, apparent: np.ndarray
+    of_triangle: np.ndarray,
+    order: np.ndarray,
+    state: np.ndarray,
+    edge_order: np.ndarray,
+    merges: np.ndarray,
+    apparent: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """H1: (edge (r,) that closes a loop, triangle (r,) that fills it), without the apparent pairs.
 
     order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a void are left out.
-    Rows are the edges that merge no components (the others never become a pivot). A column is reduced in a bit field over the rows;
-    a reduced column is kept as a list of rows, except for the triangles of `apparent`, which are reduced as they are.
+    Rows are the edges that merge no components (the others never become a pivot). A column is reduced in a bit field over the
+    rows; a reduced column is kept as a list of rows, except for the triangles of `apparent`, which are reduced as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
     edge_at = np.empty(len(edge_order), dtype=np.int32)
