@@ -1,5 +1,7 @@
-"""What a user may get wrong, through the command line: exit code 1, one line on stderr that says what and what to do, no trace, and the
-folders as they were before."""
+"""What a user may get wrong, through the command line.
+
+Wanted: exit code 1, one line on stderr that says what is wrong and what to do, no trace, and the folders as they were before.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,8 @@ def test_meshes_that_cannot_be_used(verb, name, refused, tmp_path):
     content, words = MESHES[name]
     file = tmp_path / name
     file.write_text(content)
-    given = ["train", file, "--results", tmp_path / "results"] if verb == "train" else ["scene", "--mesh", file, "--out", tmp_path / "out"]
-    refused([*given, "--quiet"], name, words)
+    given = ["train", file, "--results"] if verb == "train" else ["scene", "--mesh", file, "--out"]
+    refused([*given, tmp_path / "out", "--quiet"], name, words)
 
 
 def test_a_mesh_cut_in_half(refused, tmp_path):

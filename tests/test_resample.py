@@ -46,7 +46,8 @@ def areas(corners: np.ndarray) -> np.ndarray:
 
 def screen(corners: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """NDC x and y (T,3,2) and whether the corner is in the clip cube (T,3)."""
-    clip = np.concatenate([np.asarray(corners, np.float64), np.ones((*corners.shape[:2], 1))], -1) @ np.asarray(matrix, np.float64).T
+    homogeneous = np.concatenate([np.asarray(corners, np.float64), np.ones((*corners.shape[:2], 1))], -1)
+    clip = homogeneous @ np.asarray(matrix, np.float64).T
     ndc = clip[..., :3] / clip[..., 3:]
     return ndc[..., :2], (clip[..., 3] > 0) & (np.abs(ndc) <= 1).all(-1)
 
@@ -66,7 +67,7 @@ def split(corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: f
 def test_pruning_keeps_the_most_visible_in_their_order():
     soup, world_to_clip = case(), views()
     budget = 25
-    kept, report = Resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100)  # step 99 of 100: no split any more
+    kept, report = Resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100)  # step 99 of 100: no split
     assert (report.before, report.pruned, report.after) == (60, budget, budget) and len(kept) == budget
 
     counts = independent_counts(soup, world_to_clip, HEIGHT // 2, HEIGHT // 2)
@@ -149,7 +150,8 @@ def test_the_split_point_is_the_midpoint_in_the_image_not_in_space():
 
 def test_an_edge_with_an_end_outside_the_clip_cube_is_left_alone():
     matrix = look_at((0.0, 0.0, -4.0))
-    outside = np.array([[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]], [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]])
+    outside = np.array([[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
+                        [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]])
     children, origins = split(outside, np.ones(2, bool), matrix)
     assert np.array_equal(children, outside) and origins.tolist() == [0, 1]
 
@@ -169,12 +171,11 @@ def test_children_inherit_features_and_opacity():
     # Features name their triangle: their first entry, times what `case` divided by.
     origins = np.rint(after.features[:, 0, 0].detach().numpy() * 60 * 21 / 21).astype(int)
     assert torch.equal(after.features, soup.features[origins]) and torch.equal(after.opacity, soup.opacity[origins])
-    np.testing.assert_allclose(np.bincount(origins, areas(after.vertices.detach().numpy())), areas(soup.vertices.detach().numpy()),
-                               rtol=1e-3, atol=1e-6)
     # Split are exactly the triangles that show an edge above the limit, 2·.25 in NDC, in a drawn view that sees them.
     drawn = world_to_clip[stream(7, "split-views", 10).permutation(5)[:3]]
     seen = visible_pixels(soup, drawn, HEIGHT // 2, HEIGHT) > 0
     corners, children = soup.vertices.detach().numpy(), after.vertices.detach().numpy()
+    np.testing.assert_allclose(np.bincount(origins, areas(children)), areas(corners), rtol=1e-3, atol=1e-6)
     longest = np.stack([edge_lengths(corners, matrix, 2.0).max(1) for matrix in drawn])
     long = longest > 0.5
     assert np.array_equal(np.bincount(origins) > 1, (long & seen).any(0)) and (long & ~seen).any() and (~long & seen).any()
@@ -223,15 +224,17 @@ def test_split_weight_chooses_among_the_visible():
     assert 60 < some < every
 
 
-@pytest.mark.parametrize("weight", [lambda corners, counts: counts[:10], lambda corners, counts: np.where(counts > 0, np.nan, 1.0)])
+@pytest.mark.parametrize("weight", [lambda corners, counts: counts[:10],
+                                    lambda corners, counts: np.where(counts > 0, np.nan, 1.0)])
 def test_a_prune_weight_that_is_not_one_number_per_triangle_is_refused(weight):
     with pytest.raises(RuntimeError, match="prune_weight must give one number per triangle"):
         Resampler(20, prune_weight=weight).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
 
 
 def test_a_split_weight_that_is_not_one_bool_per_triangle_is_refused():
+    resampler = Resampler(60, split_weight=lambda corners, visible: np.flatnonzero(visible))
     with pytest.raises(RuntimeError, match="split_weight must give one bool"):
-        Resampler(60, split_weight=lambda corners, visible: np.flatnonzero(visible)).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
+        resampler.resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
 
 
 def test_sanity_check_stops_vertices_that_are_not_finite_and_parts_of_other_length():
