@@ -22,6 +22,7 @@ OFFSET = 0.008  # ε / diagonal
 CELLS = 2.0  # grid cells per ε
 # Field values closer to ε than this fraction of a cell are moved away, so that no vertex of the surface falls on a grid point.
 NUDGE = 1e-3
+FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points may have
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,8 @@ class Solid:
 def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     """Return the Solid of a raw Mesh. offset: ε divided by the bounding-box diagonal; cells: grid cells per ε, at least 1.
 
-    Features and gaps below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, or a grid too large.
+    Features and gaps below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too
+    large, or a mesh so far from the origin that float32 cannot hold its shell.
     """
     if not 0 < offset <= 0.25:
         raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {offset}")
@@ -64,6 +66,10 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     vertices, faces = weld(mesh.vertices, mesh.faces)
     epsilon = offset * mesh.diagonal
     cell = epsilon / cells
+    farthest = float(np.abs(vertices).max())
+    if farthest * np.finfo(np.float32).eps > FAR * cell:
+        raise InputError(f"{mesh.name} lies too far from the origin (coordinates up to {farthest:.3g}, cells of {cell:.3g}) for the shell's float32 "
+                         "points; move it towards the origin first")
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
     points, triangles, _, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
