@@ -1,4 +1,8 @@
-"""The fast alpha persistence: triangulation, filtration, reduction, one after the other, with marks for the benchmark."""
+"""The fast alpha persistence: triangulation, filtration, reduction, one after the other, with marks for the benchmark.
+
+The compiled code is cached beside the modules (numba, __pycache__), about 20 s of CPU the first time. numba looks for changes in
+the module of each function only: after an edit of expansions, predicates or ordering, remove the cache.
+"""
 
 from __future__ import annotations
 
