@@ -1,4 +1,4 @@
-"""The sweep: its tables, what is not run again, what is killed, what fails; by processes here, by Dask in test_sweep_dask."""
+"""The sweep: its tables, what is not run again, what is killed, what fails; by processes and by Dask."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from dataclasses import asdict, replace
 
 import pytest
+from distributed import LocalCluster
 
 from paper_artifact import cli
 from paper_artifact.errors import InputError
@@ -124,18 +126,21 @@ def test_estimate_from_fake_durations():
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """(results, outcomes, reports) of two runs and one whose mesh file vanishes between the sweep's look at it and the run."""
-    folder = tmp_path_factory.mktemp("swept")
-    results, vanishing = results_with_scene(folder / "results"), folder / "vanishing.obj"
-    vanishing.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
-    reports = []
+    """(results, outcomes, reports) of a sweep by two processes at a time, never stopped."""
+    results = results_with_scene(tmp_path_factory.mktemp("swept") / "results")
+    return results, *sweep_with_a_vanishing_mesh(results, workers=2)
+
+
+def sweep_with_a_vanishing_mesh(results, **options):
+    """Return (outcomes, reports) of the two runs and one whose mesh file is gone when its run begins."""
+    mesh, reports = results.parent / "vanishing.obj", []
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
 
     def report(*arguments):
         reports.append(arguments)
-        vanishing.unlink(missing_ok=True)
+        mesh.unlink(missing_ok=True)
 
-    outcomes = sweep([replace(CONFIGS[0], shape=str(vanishing)), *CONFIGS], results, workers=2, report=report)
-    return results, outcomes, reports
+    return sweep([replace(CONFIGS[0], shape=str(mesh)), *CONFIGS], results, report=report, **options), reports
 
 
 def test_a_failing_run_is_told_and_the_others_are_done(swept):
@@ -260,3 +265,35 @@ def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, cap
     assert cli.main(["sweep", *arguments, "--quiet", f"--results={tmp_path / 'results'}"]) == 1
     error = capsys.readouterr().err
     assert words in error and len(error.splitlines()) == 1
+
+
+# --- runs on a Dask cluster ----------------------------------------------------------------------------------------------------
+
+
+def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, monkeypatch):
+    marker = blocked_run(tmp_path, monkeypatch)
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=":0",
+                      local_directory=str(tmp_path / "dask")) as cluster:
+        workers = {worker.pid for worker in cluster.workers.values()}
+
+        def kill():
+            marker.wait()
+            os.kill(marker.parent, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill, daemon=True)
+        killer.start()
+        outcomes, reports = sweep_with_a_vanishing_mesh(tmp_path / "results", scheduler=cluster.scheduler_address)
+        killer.join()
+        assert marker.parent in workers, "the run was a child of a worker"
+        wait_for_end(marker.pid)  # nothing goes on with work that nobody waits for
+    (failed,) = (outcome for outcome in outcomes if outcome.failure)
+    assert "vanishing.obj" in failed.failure and reports[-1][1:] == (3, 3)
+    assert all(outcome.seconds > 0 for outcome in outcomes if outcome is not failed)
+    records, expected = find_records(tmp_path / "results" / "runs"), find_records(swept[0] / "runs")
+    assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected))
+    assert missing(complete(list(CONFIGS)), tmp_path / "results") == []
+
+
+def test_no_scheduler_is_told_in_one_line(tmp_path):
+    with pytest.raises(InputError, match="no Dask scheduler at nowhere://127.0.0.1:1 .*dask scheduler"):
+        sweep([CONFIGS[0]], tmp_path, scheduler="nowhere://127.0.0.1:1")
