@@ -43,6 +43,7 @@ VERBS: dict[str, Verb] = {
     "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
     "ingest": Verb("ingest", "turn raw open shells into one closed, certified surface"),
     "sweep": Verb("sweep", "run a table of training runs, resuming what is missing"),
+    "measure": Verb("measure", "make a measurement that the notebooks read from results/measured"),
 }
 
 

@@ -62,17 +62,24 @@ def collect(wanted: Iterable[Run], profile: str = "recorded", folder: Path = RES
     return Collected(tuple(found), tuple(missing))
 
 
-def missing_text(collected: Collected) -> str:
-    """Return what is not recorded, one line per shape and condition with the command that makes it, or that nothing is missing."""
+def missing_text(collected: Collected, study: str | None = None) -> str:
+    """Return what is not recorded, one line per shape and condition with the command that makes it, or that nothing is missing.
+
+    study: the sweep that has these runs (its command makes all missing seeds of a line), or None for single training runs.
+    """
     groups: dict[tuple[str, str], list[int]] = {}
     for shape, condition, seed in collected.missing:
         groups.setdefault((shape, condition), []).append(seed)
     if not groups:
         return f"all {len(collected.records)} runs are recorded"
     total = len(collected.records) + len(collected.missing)
-    lines = [f"NOT RECORDED: {len(collected.missing)} of {total} runs; each is made by the command beside it"]
+    lines = [f"NOT RECORDED: {len(collected.missing)} of {total} runs; the command beside a line makes them"]
     for (shape, condition), seeds in groups.items():
-        lines.append(f"  {shape} {condition}, seed {', '.join(map(str, seeds))}: {command(shape, condition, seeds[0])}")
+        if study is None:
+            make = command(shape, condition, seeds[0])
+        else:
+            make = f"python -m paper_artifact sweep {study} --shape {shape} --condition {condition}"
+        lines.append(f"  {shape} {condition}, seed {', '.join(map(str, seeds))}: {make}")
     return "\n".join(lines)
 
 

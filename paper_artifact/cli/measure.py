@@ -1,0 +1,29 @@
+"""`python -m paper_artifact measure NAME`: make a measurement that the notebooks read from `results/measured/`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from paper_artifact.report.measured import MEASURED, MEASUREMENTS, measure
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's options on `parser`."""
+    summaries = "; ".join(f"{name}: {each.summary}" for name, each in MEASUREMENTS.items())
+    parser.add_argument("name", choices=tuple(MEASUREMENTS), help=summaries)
+    parser.add_argument("--out", type=Path, default=MEASURED, metavar="DIR", help="folder of NAME.csv (default: results/measured)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and write the CSV. Returns 0."""
+    from tqdm import tqdm
+
+    with tqdm(desc=f"measuring {arguments.name}", unit="part", disable=arguments.quiet) as bar:
+        def progress(text: str) -> None:
+            bar.set_postfix_str(text)
+            bar.update()
+
+        path = measure(arguments.name, arguments.out, progress)
+    print(f"written: {path}")
+    return 0
