@@ -31,7 +31,7 @@ EXPECTED = {"certify": ["certificate.json"], "audit": ["audit.html", "audit.json
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
     """Figures are made, but not drawn: drawing takes a second each and knows nothing of meshes."""
-    monkeypatch.setattr(page, "_image", lambda figure: "")
+    monkeypatch.setattr(page, "_image", lambda figure, kind="svg": "")
 
 
 def check_refused(verb: str, mesh: Path, out: Path, capsys, words: str) -> None:

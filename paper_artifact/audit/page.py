@@ -39,7 +39,7 @@ def audit_page(audit: Audit) -> str:
         _image(_margin_figure(audit)),
         "<h2>Observable and density</h2>" + _list(decision.reasons) + ("<p><b>Warnings</b></p>" + _list(decision.warnings) if decision.warnings else ""),
         f"<h2>Diagrams at M = {_shown_samples(audit)}</h2><p>Births and deaths are radii divided by the bounding-box diagonal; "
-        "dotted: the floor.</p>" + _image(_diagram_figure(audit)),
+        "dotted: the floor.</p>" + _image(_diagram_figure(audit), "png"),  # thousands of dots: smaller as pixels
         _bundle_section(audit),
         "<h2>3-D view</h2>" + f'<iframe title="3-D view" srcdoc="{html.escape(_view(audit), quote=True)}"></iframe>',
     ]
@@ -115,11 +115,12 @@ def _view(audit: Audit) -> str:
     return html_page({"mesh": mesh_triangles(light_mesh(audit.mesh))}, audit.name)
 
 
-def _image(figure: Figure) -> str:
+def _image(figure: Figure, kind: str = "svg") -> str:
     data = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "paper_artifact"}):
-        figure.savefig(data, format="svg", metadata={"Date": None})
-    return f"<p><img alt='' src='data:image/svg+xml;base64,{base64.b64encode(data.getvalue()).decode('ascii')}'></p>"
+        figure.savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    mime = "svg+xml" if kind == "svg" else kind
+    return f"<p><img alt='' src='data:image/{mime};base64,{base64.b64encode(data.getvalue()).decode('ascii')}'></p>"
 
 
 def _list(lines) -> str:
