@@ -191,7 +191,8 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
     results = results_with_scene(tmp_path / "results", copy_of=swept[0])
     with monkeypatch.context() as patched:
         marker = blocked_run(tmp_path, patched)
-        program = ("from pathlib import Path\nfrom paper_artifact.study.sweep import sweep\nfrom tests.sweep_runs import CONFIGS\n"
+        program = ("from pathlib import Path\nfrom tests.sweep_runs import CONFIGS\n"
+                   "from paper_artifact.study.sweep import sweep\n"
                    f"sweep([CONFIGS[0]], Path({str(results)!r}))")
         process = subprocess.Popen([sys.executable, "-c", program], cwd=REPOSITORY, start_new_session=True)
         marker.wait(process)
