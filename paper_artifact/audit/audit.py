@@ -20,8 +20,9 @@ KEPT_ABOVE = 0.2  # margins below this fraction of the floor are sampling noise 
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """name: as the command line was given it; mesh: welded; rungs: one per density and seed; decision: of the first seed's rungs;
-    bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working density else the largest, first seed."""
+    """name: as the command line was given it; mesh: welded; rungs: one per density and seed; decision: of the first seed's
+    rungs; bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working density else the
+    largest, first seed."""
 
     name: str
     mesh: Mesh

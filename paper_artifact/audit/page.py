@@ -37,7 +37,8 @@ def audit_page(audit: Audit) -> str:
         "<h2>Density staircase</h2><p>Significant bars (components with the infinite one, loops, voids) of M points drawn uniformly by area, "
         "and the longest lifetimes as multiples of the floor 6·r<sub>med</sub>(M).</p>" + _staircase_table(audit),
         _image(_margin_figure(audit)),
-        "<h2>Observable and density</h2>" + _list(decision.reasons) + ("<p><b>Warnings</b></p>" + _list(decision.warnings) if decision.warnings else ""),
+        "<h2>Observable and density</h2>" + _list(decision.reasons),
+        "<p><b>Warnings</b></p>" + _list(decision.warnings) if decision.warnings else "",
         f"<h2>Diagrams at M = {_shown_samples(audit)}</h2><p>Births and deaths are radii divided by the bounding-box diagonal; "
         "dotted: the floor.</p>" + _image(_diagram_figure(audit), "png"),  # thousands of dots: smaller as pixels
         _bundle_section(audit),
@@ -80,7 +81,8 @@ def _margin_figure(audit: Audit) -> Figure:
             points = [(rung.samples, rung.margins[dimension][rank]) for rung in audit.rungs if len(rung.margins[dimension]) > rank]
             if points:
                 axis.plot(*zip(*points), "o", markersize=3.5, color="#1f5fbf", alpha=1 - 0.2 * rank)
-                centre = [(m, np.median([value for each, value in points if each == m])) for m in samples if any(each == m for each, _ in points)]
+                middle = {m: [value for each, value in points if each == m] for m in samples}
+                centre = [(m, np.median(values)) for m, values in middle.items() if values]
                 axis.plot(*zip(*centre), color="#1f5fbf", linewidth=0.9, alpha=1 - 0.2 * rank)
         axis.axhline(1.0, color="black", linestyle=":", linewidth=0.8)
         axis.set(xscale="log", title=NAMES[dimension], xlabel="M")

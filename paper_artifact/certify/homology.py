@@ -1,12 +1,14 @@
 """Exact simplicial homology over Z/2 of a two-dimensional complex, by sparse reduction, and a second count of b2 by duality.
 
-b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is a relation among them.
-Relations are eliminated without fill-in as long as some edge lies in one live relation only (a free face; clearing as in Chen & Kerber
-2011); where none is left, one triangle is set aside, and at the end each such column is reduced against the pivots: it vanishes (a
-2-cycle, b2), or enters a small dense elimination. b1 = cycles - rank. This is independent of any alpha complex and of floating point.
+b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is a relation among
+them. Relations are eliminated without fill-in as long as some edge lies in one live relation only (a free face; clearing as in
+Chen & Kerber 2011); where none is left, one triangle is set aside, and at the end each such column is reduced against the
+pivots: it vanishes (a 2-cycle, b2), or enters a small dense elimination. b1 = cycles - rank. This is independent of any alpha
+complex and of floating point.
 
-The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal coefficients, the edge of one
-triangle sets zero, the others give the equations. The two counts share no elimination, so their agreement is a check.
+The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal coefficients, the
+edge of one triangle sets zero, the others give the equations. The two counts share no elimination, so their agreement is a
+check.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 class Complex:
     """Distinct simplices of a mesh whose vertices are all used.
 
-    faces (F,3) int64 and edges (E,2) int64: vertex indices, each row increasing, rows in lexicographic order; face_edges (F,3) int64:
-    the edges (01, 12, 02) of each face; component_of_vertex (V,) int64: labels 0..C-1 in order of the first vertex.
+    faces (F,3) int64 and edges (E,2) int64: vertex indices, each row increasing, rows in lexicographic order; face_edges (F,3)
+    int64: the edges (01, 12, 02) of each face; component_of_vertex (V,) int64: labels 0..C-1 in order of the first vertex.
     """
 
     faces: np.ndarray
@@ -35,7 +35,9 @@ class Complex:
 
 
 def make_complex(faces: np.ndarray, vertex_count: int) -> Complex:
-    """Return the Complex of `faces` (n,3) integer, three different vertices of 0..vertex_count-1 each; repeated faces count once."""
+    """Return the Complex of `faces` (n,3) integer, three different vertices of 0..vertex_count-1 each; repeated faces count
+    once.
+    """
     ordered = np.sort(np.asarray(faces, dtype=np.int64).reshape(-1, 3), axis=1)
     ordered = ordered[np.lexsort(ordered.T[::-1])]
     first = np.ones(len(ordered), dtype=bool)
@@ -47,14 +49,18 @@ def make_complex(faces: np.ndarray, vertex_count: int) -> Complex:
 
 
 def edges_of(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct edges (E,2) int64, each row increasing, of faces (F,3), and the edge (F,3) int64 of each side 01, 12, 20."""
+    """Return the distinct edges (E,2) int64, each row increasing, of faces (F,3), and the edge (F,3) int64 of each side 01, 12,
+    20.
+    """
     sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     keys, index = np.unique(sides[:, 0] * vertex_count + sides[:, 1], return_inverse=True)
     return np.stack([keys // max(vertex_count, 1), keys % max(vertex_count, 1)], axis=1), index.reshape(-1, 3)
 
 
 def labels_of_graph(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
-    """Return the component (count,) int64 of each node 0..count-1 of the graph with edges left[i]–right[i], (n,) integers each."""
+    """Return the component (count,) int64 of each node 0..count-1 of the graph with edges left[i]–right[i], (n,) integers
+    each.
+    """
     if count == 0:
         return np.zeros(0, dtype=np.int64)
     graph = coo_array((np.ones(len(left), dtype=np.int8), (left, right)), shape=(count, count))

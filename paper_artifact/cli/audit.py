@@ -15,7 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)")
     parser.add_argument("--seeds", type=int, default=1, help="sampling seeds of the staircase (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="the first of them, which decides and which the bundle is built with (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0,
+                        help="the first of them, which decides and which the bundle is built with (default: %(default)s)")
     parser.add_argument("--densities", type=int, nargs="+", metavar="M", help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)")
     parser.add_argument("--working", type=int, nargs="+", metavar="M", help="densities that the rule may choose (default: 2048 8192)")
 

@@ -12,7 +12,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("raw", help="a mesh file, the key of an external mesh, or 'pot' for the procedural hot pot with a flue")
     parser.add_argument("--out", type=Path, required=True, metavar="SHELL", help="the shell: .ply, .obj or .stl")
-    parser.add_argument("--offset", type=float, help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)")
+    parser.add_argument("--offset", type=float,
+                        help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)")
     parser.add_argument("--cells", type=float, help="grid cells per ε (default: 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write both certificates and the numbers as JSON")
     parser.add_argument("--raw-obj", type=Path, metavar="FILE", help="pot only: also write the raw polygons as OBJ")
@@ -39,10 +40,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.raw_obj:
         write_text(arguments.raw_obj, pot.obj())
     raw = solid.raw
-    print(f"{mesh.name}: raw {raw.verdict}" + (f" ({'; '.join(raw.reasons)})" if raw.reasons else "") + f", {len(raw.components)} components after the weld\n"
+    reasons = f" ({'; '.join(raw.reasons)})" if raw.reasons else ""
+    print(f"{mesh.name}: raw {raw.verdict}{reasons}, {len(raw.components)} components after the weld\n"
           f"  offset   ε = {solid.offset:.6g}, cell {solid.cell:.6g}, grid {' × '.join(map(str, solid.grid))}\n"
           f"  pockets  {solid.pockets} enclosed, dropped\n"
-          f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, {certificate.vertices} vertices, {certificate.faces} triangles\n"
+          f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, {certificate.vertices} vertices, "
+          f"{certificate.faces} triangles\n"
           f"  sha256   {solid.sha256} (points and triangles)\n"
           f"{arguments.out}")
     return 0

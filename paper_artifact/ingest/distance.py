@@ -1,8 +1,8 @@
 """The exact unsigned distance to a triangle soup on a regular grid, in a narrow band around it.
 
-For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab around its plane) and the
-exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5) is minimised; beyond the band the field is the band.
-No sign, no ray, no winding: the soup may be open, overlapping and non-manifold.
+For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab around its plane)
+and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5) is minimised; beyond the band the
+field is the band. No sign, no ray, no winding: the soup may be open, overlapping and non-manifold.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ class DistanceGrid:
 
 
 def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: float) -> DistanceGrid:
-    """Return the DistanceGrid of triangles, vertices (V,3) float64 and faces (F,3) int64, with spacing `cell`; all in world units.
+    """Return the DistanceGrid of triangles, vertices (V,3) float64 and faces (F,3) int64, with spacing `cell`; all in world
+    units.
 
-    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large, or sizes are not positive.
+    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large, or sizes are not
+    positive.
     """
     if not (np.isfinite([cell, band]).all() and cell > 0 and band > 0):
         raise InputError(f"grid spacing and band must be positive lengths, got {cell} and {band}")
@@ -84,7 +86,9 @@ def _minimise(values, corners, band, cell):
 
 @njit(cache=True)
 def squared_distance(p, a, b, c):
-    """Squared distance of point p to triangle abc, each (3,) float64 in one unit; exact up to rounding, also for flat triangles."""
+    """Squared distance of point p to triangle abc, each (3,) float64 in one unit; exact up to rounding, also for flat
+    triangles.
+    """
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]

@@ -1,8 +1,9 @@
 """A procedural hot pot with a flue, in the role of the paper's tom-yum pot, which is not public.
 
-Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with 12-gons, junction edges where three
-shells meet, no inside. After ingest it is one body of genus 3: two slot handles and one vent slot give six thin loops, and the flue with
-its narrow mouth is open, so that its chamber is a void only to a measurement. It is a stand-in, not the paper's pot.
+Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with 12-gons, junction edges
+where three shells meet, no inside. After ingest it is one body of genus 3: two slot handles and one vent slot give six thin
+loops, and the flue with its narrow mouth is open, so that its chamber is a void only to a measurement. It is a stand-in, not
+the paper's pot.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ HANDLE_GAP, HANDLE_TUBE, HANDLE_ANGLE, HANDLE_HEIGHT = 0.036, 0.012, 0.30, 0.10
 
 @dataclass(frozen=True, eq=False)
 class RawPot:
-    """vertices (V,3) float64, model units; polygons: vertex indices of each, 4 or 12 of them; shell (len(polygons),) int64: 0..8."""
+    """vertices (V,3) float64, model units; polygons: vertex indices of each, 4 or 12 of them; shell (len(polygons),) int64:
+    0..8.
+    """
 
     vertices: np.ndarray
     polygons: tuple[tuple[int, ...], ...]

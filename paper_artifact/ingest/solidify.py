@@ -1,7 +1,7 @@
 """Offset solidification: the boundary of everything within ε of a triangle soup, without the pockets that it encloses.
 
-Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets dropped, and certification
-by measurement. The result depends on the input's points, ε and the spacing alone: rebuilds are bit-identical.
+Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets dropped, and
+certification by measurement. The result depends on the input's points, ε and the spacing alone: rebuilds are bit-identical.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points ma
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """shell: the closed surface, vertices rounded to float32 and welded, wound outwards; raw and certificate: what was measured of the
-    input and of the shell; offset ε and cell: world units; grid: its shape; pockets: enclosed cavities that were filled.
+    """shell: the closed surface, vertices rounded to float32 and welded, wound outwards; raw and certificate: what was measured
+    of the input and of the shell; offset ε and cell: world units; grid: its shape; pockets: enclosed cavities that were filled.
     """
 
     shell: Mesh
@@ -83,8 +83,9 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
 def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.ndarray, int]:
     """Return the field with every enclosed pocket filled, and their number.
 
-    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of outside points that does not
-    reach the border, and gets values below iso. Values within `nudge` of iso move to that distance, on their side of it.
+    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of outside points that
+    does not reach the border, and gets values below iso. Values within `nudge` of iso move to that distance, on their side of
+    it.
     """
     outside = values > iso
     labels, count = ndimage.label(outside)
