@@ -17,7 +17,9 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         (("double_torus",), ("C0", "C1", "C2"), range(5)),
         (("sphere", "torus"), ("C7", "C7h"), range(3)),
     ),
-    "table2": ((("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight"), ("C0", "C1", "C2"), range(3)),),
+    "table2": (
+        (("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight", "pot"), ("C0", "C1", "C2"), range(3)),
+    ),
     "bowls": ((("bowl_narrow", "bowl_wide"), ("C0", "C1", "C2"), range(3)),),
 }
 
