@@ -27,8 +27,9 @@ def test_raster_rows(tiny_scene, monkeypatch, tmp_path):
     monkeypatch.setattr(raster, "sphere_case", lambda results: (tiny_scene, initial_soup(tiny_scene.points, 40, 0)))
     rows = raster.raster_rows(tmp_path, repetitions=2)
     passes = {row["what"]: row for row in rows if row["ratio"] is not None}
-    assert set(passes) == {f"forward + backward, {name}" for name in ("numba", "twin float32", "twin float64")}
-    assert passes["forward + backward, numba"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
+    assert set(passes) == {f"forward + backward, {name}" for name in (raster.FUSED, "numba, torch functions", "twin float32",
+                                                                      "twin float64")}
+    assert passes[f"forward + backward, {raster.FUSED}"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
     stages = [row["what"].split("numba: ")[1] for row in rows if row["ratio"] is None]
     assert len(stages) == 5 and all(stage.endswith("(wall)") for stage in stages)
 
@@ -64,5 +65,5 @@ def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
         "cpu": 40.0, "wall": 61.0, "peak_mb": 512.0, "seconds": {"photometric": 30.0}})
     assert cli.main(["bench", "raster", "run", "--steps", "10"]) == 0
     printed = capsys.readouterr().out
-    assert "2.50     31.2 × numba" in printed and "that" in printed
+    assert "2.50     31.2 × the trainer's" in printed and "that" in printed
     assert "40.0 s of CPU =  20.0 s per thread" in printed and "peak memory 512 MB (photometric 30.0 s)" in printed

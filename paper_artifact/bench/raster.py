@@ -13,9 +13,13 @@ from paper_artifact.raster import functions, twin
 from paper_artifact.raster.draws import view_key
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
+from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.config import default_config
 from paper_artifact.train.loop import train
 from paper_artifact.train.run import find_mesh, prepare_scene
+
+
+FUSED = "numba, fused (the trainer's)"
 
 
 def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
@@ -62,26 +66,29 @@ def _as(soup: Soup, dtype: torch.dtype) -> Soup:
 
 
 def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
-    """Return rows {what, ms, ratio to numba}: medians of interleaved forward + backward passes, CPU time of one thread."""
+    """Return rows {what, ms, ratio to the trainer's step}: medians of interleaved forward + backward passes, CPU time of one thread."""
     scene, soup = sphere_case(results)
     views = scene.train[np.arange(4) * len(scene.train) // 4]
     target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))
     statistics, buffers = functions.target_statistics(target), functions.RasterBuffers()
-    times: dict[str, list[float]] = {"numba": [], "twin float32": [], "twin float64": []}
+    times: dict[str, list[float]] = {name: [] for name in (FUSED, "numba, torch functions", "twin float32", "twin float64")}
     stages: dict[str, list[float]] = {}
     copies = {"twin float32": _as(soup, torch.float32), "twin float64": _as(soup, torch.float64)}
+    trainer = CpuBackend(scene, views)
     for repetition in range(repetitions + 1):
         keys = [view_key(0, repetition, int(view)) for view in views]
         for name in times:
             begin = time.process_time()
-            if name == "numba":
-                _numba_step(soup, scene, target, statistics, buffers, views, keys, stages)
-            else:
+            if name == FUSED:
+                trainer.photometric_step(soup, views, keys)
+            elif name in copies:
                 dtype = copies[name].vertices.dtype
                 _twin_step(copies[name], torch.from_numpy(scene.world_to_clip[views]).to(dtype),
                            torch.as_tensor(scene.background).to(dtype), target.to(dtype), keys)
+            else:
+                _numba_step(soup, scene, target, statistics, buffers, views, keys, stages)
             times[name].append(time.process_time() - begin)
     rows = [{"what": f"forward + backward, {name}", "ms": 1e3 * median(values[1:]),
-             "ratio": median(values[1:]) / median(times["numba"][1:])} for name, values in times.items()]
+             "ratio": median(values[1:]) / median(times[FUSED][1:])} for name, values in times.items()]
     return rows + [{"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None}
                    for name, values in stages.items()]

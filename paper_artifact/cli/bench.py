@@ -39,7 +39,7 @@ def _raster(folder: Path, arguments: argparse.Namespace) -> None:
 
     print("Photometric step, C0 sphere after 300 steps, N = 1200, 200 px, batch 4; CPU ms, one thread, median of 15")
     for row in raster_rows(folder):
-        ratio = "" if row["ratio"] is None else f"   {row['ratio']:6.1f} × numba"
+        ratio = "" if row["ratio"] is None else f"   {row['ratio']:6.1f} × the trainer's"
         print(f"  {row['what']:42s} {row['ms']:9.2f}{ratio}")
 
 
