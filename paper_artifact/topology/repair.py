@@ -3,8 +3,10 @@
   T1 punctured void: sphere without a cap of opening .5; the matched term must close the void (paper 8.8x)
   T2 spurious handle: sphere with a handle; the diagonal term must kill the extra loop
   T3 mis-spaced components: two spheres at gap .9, target gap 1.4 (paper 1229x)
-  T4 bridged merge: two spheres joined by a chain of 24 points: no significant live H0 bar against one target; only recruitment
-     has a gradient (paper 450x)
+  T4 bridged merge: two spheres joined by a chain of 6 points: no significant live H0 bar against one target; only recruitment
+     has a gradient (paper 450x). The chain's links are longer than any spacing of the spheres
+  T4d dense bridge: the same with a chain of 24 points, denser than the spheres. Recruitment then tugs at a sphere's longest
+     edge and tears one point off: the diagram is repaired, the bridge is not
 
 The paper gives no parameters; these starts were inferred from its figures. Radii of all spheres are 1 world unit.
 """
@@ -25,7 +27,7 @@ from paper_artifact.topology.loss import TopologyLoss
 
 CAP_OPENING = 0.5
 HANDLE_MAJOR, HANDLE_TUBE, HANDLE_HEIGHT = 0.8, 0.1, 1.1
-TARGET_GAP, LIVE_GAP, CHAIN = 1.4, 0.9, 24
+TARGET_GAP, LIVE_GAP, CHAIN, DENSE_CHAIN = 1.4, 0.9, 6, 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ class Trajectory:
 
 
 def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
-    """Return probe "T1", "T2", "T3" or "T4"; its clouds are a function of `seed`. Raises InputError for another name."""
+    """Return probe "T1", "T2", "T3", "T4" or "T4d"; its clouds are a function of `seed`. Raises InputError for another name."""
     if name not in _PROBES:
         raise InputError(f"unknown repair probe {name!r}; choose one of {', '.join(_PROBES)}")
     start, target, dimension, learning_rate, steps = _PROBES[name](stream(seed, f"repair-{name}"))
@@ -156,12 +158,12 @@ def _spacing(generator):
     return _two_spheres(generator, LIVE_GAP, 512), _two_spheres(generator, TARGET_GAP, 512), 0, 0.03, 1000
 
 
-def _bridge(generator):
+def _bridge(generator, links: int = CHAIN):
     each = 500
     joined = _two_spheres(generator, TARGET_GAP, each)
-    along = (np.arange(CHAIN) + 0.5) / CHAIN - 0.5
-    chain = np.column_stack([along * TARGET_GAP, np.zeros(CHAIN), np.zeros(CHAIN)])
-    return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + CHAIN // 2), 0, 0.03, 1000
+    along = (np.arange(links) + 0.5) / links - 0.5
+    chain = np.column_stack([along * TARGET_GAP, np.zeros(links), np.zeros(links)])
+    return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + links // 2), 0, 0.01, 1000
 
 
-_PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge}
+_PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge, "T4d": lambda generator: _bridge(generator, DENSE_CHAIN)}
