@@ -47,7 +47,9 @@ def test_chamfer_is_equal_and_the_bottleneck_tells(name):
     a, b = probes.read(probe)
     assert a.chamfer_sum == pytest.approx(b.chamfer_sum, rel=2 * probes.TOLERANCE)
     assert b.bottleneck > 10 * a.bottleneck and b.bottleneck > 0.02
-    assert (b.hausdorff95 < a.hausdorff95) == (name == "thin handle") or name == "bridge"  # the bridge's preference needs 40,000 samples
+    assert (b.hausdorff95 < a.hausdorff95) == (
+        name == "thin handle"
+    ) or name == "bridge"  # the bridge's preference needs 40,000 samples
     assert probes.noise_floor(probe) < b.chamfer_sum
 
 

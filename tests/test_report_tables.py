@@ -32,7 +32,9 @@ def test_matrix_says_what_is_recorded_and_what_is_not(study):
     table = matrix.matrix_table(study)
     assert table.loc["C1", ("sphere", "ours")] == ".0170±.0016 (3.65×), 5 seeds"
     assert table.loc["C0", ("torus", "ours")] == ".0400, 1 of 5 seeds" and table.loc["C3", ("sphere", "ours")] == "not recorded"
-    assert table.loc["C1", ("sphere", "paper")] == ".0156±.0013 (3.99×)" and table.loc["C2g", ("sphere", "paper")].startswith(".0972")
+    assert table.loc["C1", ("sphere", "paper")] == ".0156±.0013 (3.99×)" and table.loc["C2g", ("sphere", "paper")].startswith(
+        ".0972"
+    )
     assert table.loc["C5", ("sphere", "ours")] == "" and table.loc["C5", ("sphere", "paper")].startswith(".0082")
     assert len(study.records) + len(study.missing) == len(study_configs("table1"))
 
@@ -71,9 +73,16 @@ def test_reports_of_nothing(tmp_path):
     assert matrix.matrix_table(empty).loc["C0", ("sphere", "ours")] == "not recorded"
     assert matrix.verdicts(empty).empty and matrix.seed_table(empty).empty and plans.plan_table(empty).empty
     assert plans.composition_table(empty).empty and matrix.chamfer_table(empty).empty
-    for figure in (matrix.trajectory_figure(empty), matrix.seed_figure(empty), plans.plan_figure(empty), matrix.diagram_figure(empty, steps=(100,))):
+    for figure in (
+        matrix.trajectory_figure(empty),
+        matrix.seed_figure(empty),
+        plans.plan_figure(empty),
+        matrix.diagram_figure(empty, steps=(100,)),
+    ):
         assert figure.axes
-    assert len(cost.share_table(empty)) == 1 and matrix.diagram_table(empty).empty and matrix.trajectory_table(empty, "sphere").empty
+    assert (
+        len(cost.share_table(empty)) == 1 and matrix.diagram_table(empty).empty and matrix.trajectory_table(empty, "sphere").empty
+    )
 
 
 def test_staircase_counts_the_bundles_bars():
@@ -108,7 +117,11 @@ def test_windows():
     assert table.loc["torus", "paper's IN"] == "1.33" and "loop 2" in table.loc["torus", "tightest IN"]
     assert table.loc["cube", "largest OUT"] == "—" and "loop 1" in table.loc["bowl_wide", "largest OUT"]
     window = windows.global_window(margins)
-    assert window.loc["paper", ["k from", "k to"]].tolist() == [5.12, 6.77] and (window["k from"] < 6).all() and (window["k to"] > 6).all()
+    assert (
+        window.loc["paper", ["k from", "k to"]].tolist() == [5.12, 6.77]
+        and (window["k from"] < 6).all()
+        and (window["k to"] > 6).all()
+    )
     low = 6 * torus[~torus["in"]]["margin"].max()
     assert window.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
     assert windows.window_figure(margins).axes

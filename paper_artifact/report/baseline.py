@@ -1,4 +1,5 @@
-"""The baseline reconstruction (condition C0) of a shape, for the first notebook: renders, checks, trajectories, ours beside the paper's."""
+"""The baseline reconstruction (condition C0) of a shape, for the first notebook: renders, checks, trajectories, ours beside the
+paper's."""
 
 from __future__ import annotations
 
@@ -38,9 +39,8 @@ class Reconstruction:
 def reconstruct(shapes: Sequence[str], profile: str, seed: int, steps: int, size: int) -> tuple[Reconstruction, ...]:
     """Train C0 on each shape and return the soups with their held-out views.
 
-    profile "recorded": short runs of `steps` steps on `size` px views in a temporary folder (seconds); "full": the study's runs (2,500
-    steps, 200 px), kept in results/retrained. Raises InputError for an unknown shape or a mesh that cannot be had.
-    """
+    profile "recorded": short runs of `steps` steps on `size` px views in a temporary folder (seconds); "full": the study's runs
+    (2,500 steps, 200 px), kept in results/retrained. Raises InputError for an unknown shape or a mesh that cannot be had."""
     made = []
     for shape in shapes:
         mesh = find_mesh(shape)
@@ -52,12 +52,15 @@ def reconstruct(shapes: Sequence[str], profile: str, seed: int, steps: int, size
             record = run(config, mesh=mesh, results=results)
             scene = prepare_scene(config, mesh, results / "scenes")
             soup = load_soup(soup_path(record, results))
-            made.append(Reconstruction(shape, record, soup, scene.images[scene.holdout], render_views(soup, scene, scene.holdout)))
+            made.append(
+                Reconstruction(shape, record, soup, scene.images[scene.holdout], render_views(soup, scene, scene.holdout))
+            )
     return tuple(made)
 
 
 def check_table(runs: Iterable[Reconstruction]) -> pd.DataFrame:
-    """Return per run what holds on every machine: prunings that met the budget (splitting adds a few), and each of CHECKS passed or not."""
+    """Return per run what holds on every machine: prunings that met the budget (splitting adds a few), and each of CHECKS passed
+    or not."""
     rows = []
     for each in runs:
         loss = np.asarray(each.record["losses"]["loss"])
@@ -65,13 +68,22 @@ def check_table(runs: Iterable[Reconstruction]) -> pd.DataFrame:
         scores = image_scores(each.renders, each.truth)
         fall = float(loss[-part:].mean() / loss[:part].mean())
         config = each.record["config"]
-        rows.append({
-            "shape": each.shape, "steps": config["steps"], "pixels": config["size"], "budget": config["budget"],
-            "every pruning met the budget": all(step["pruned"] <= config["budget"] for step in each.record["soup"]["resamplings"]),
-            f"loss fell below {CHECKS['loss, last tenth / first tenth']:g}× its start": fall < CHECKS["loss, last tenth / first tenth"],
-            f"held-out PSNR > {CHECKS['PSNR dB']:g} dB": scores["psnr"] > CHECKS["PSNR dB"],
-            f"held-out SSIM > {CHECKS['SSIM']:g}": scores["ssim"] > CHECKS["SSIM"],
-            f"Chamfer < {CHECKS['Chamfer %']:g} %": 100 * each.record["dumps"][-1]["chamfer"] < CHECKS["Chamfer %"]})
+        rows.append(
+            {
+                "shape": each.shape,
+                "steps": config["steps"],
+                "pixels": config["size"],
+                "budget": config["budget"],
+                "every pruning met the budget": all(
+                    step["pruned"] <= config["budget"] for step in each.record["soup"]["resamplings"]
+                ),
+                f"loss fell below {CHECKS['loss, last tenth / first tenth']:g}× its start": fall
+                < CHECKS["loss, last tenth / first tenth"],
+                f"held-out PSNR > {CHECKS['PSNR dB']:g} dB": scores["psnr"] > CHECKS["PSNR dB"],
+                f"held-out SSIM > {CHECKS['SSIM']:g}": scores["ssim"] > CHECKS["SSIM"],
+                f"Chamfer < {CHECKS['Chamfer %']:g} %": 100 * each.record["dumps"][-1]["chamfer"] < CHECKS["Chamfer %"],
+            }
+        )
     return pd.DataFrame(rows).set_index("shape")
 
 
@@ -80,9 +92,16 @@ def measured_table(runs: Iterable[Reconstruction]) -> pd.DataFrame:
     rows = []
     for each in runs:
         scores = image_scores(each.renders, each.truth)
-        rows.append({"shape": each.shape, "triangles": len(each.soup), "held-out PSNR dB": round(scores["psnr"], 2),
-                     "held-out SSIM": round(scores["ssim"], 4), "Chamfer %": round(100 * each.record["dumps"][-1]["chamfer"], 3),
-                     "CPU s": each.record["cpu_seconds"]})
+        rows.append(
+            {
+                "shape": each.shape,
+                "triangles": len(each.soup),
+                "held-out PSNR dB": round(scores["psnr"], 2),
+                "held-out SSIM": round(scores["ssim"], 4),
+                "Chamfer %": round(100 * each.record["dumps"][-1]["chamfer"], 3),
+                "CPU s": each.record["cpu_seconds"],
+            }
+        )
     return pd.DataFrame(rows).set_index("shape")
 
 
@@ -100,16 +119,27 @@ def recorded(shapes: Sequence[str], seeds: Iterable[int], profile: str = "record
 
 
 def seed_table(collected: Collected) -> pd.DataFrame:
-    """Return one line per recorded run: tail (mean of the last three dumps, in the discriminating dimension), counts (H0, H1, H2 at the
-    end), Chamfer, held-out PSNR and SSIM, triangles."""
+    """Return one line per recorded run: tail (mean of the last three dumps, in the discriminating dimension), counts (H0, H1, H2
+    at the end), Chamfer, held-out PSNR and SSIM, triangles."""
     rows = []
     for record in collected.records:
         dimension, tails = record["mesh"]["dimension"], record["tails"]
-        rows.append({"shape": record["config"]["shape"], "seed": record["config"]["seed"], "dimension": f"H{dimension}",
-                     "tail": round(tails["bottleneck"][dimension], 4), "counts": str(tuple(tails["counts"])),
-                     "Chamfer %": round(100 * tails["chamfer"], 3), "PSNR dB": round(record["images"]["psnr"], 2),
-                     "SSIM": round(record["images"]["ssim"], 4), "triangles": record["soup"]["triangles"]})
-    return pd.DataFrame(rows, columns=["shape", "seed", "dimension", "tail", "counts", "Chamfer %", "PSNR dB", "SSIM", "triangles"])
+        rows.append(
+            {
+                "shape": record["config"]["shape"],
+                "seed": record["config"]["seed"],
+                "dimension": f"H{dimension}",
+                "tail": round(tails["bottleneck"][dimension], 4),
+                "counts": str(tuple(tails["counts"])),
+                "Chamfer %": round(100 * tails["chamfer"], 3),
+                "PSNR dB": round(record["images"]["psnr"], 2),
+                "SSIM": round(record["images"]["ssim"], 4),
+                "triangles": record["soup"]["triangles"],
+            }
+        )
+    return pd.DataFrame(
+        rows, columns=["shape", "seed", "dimension", "tail", "counts", "Chamfer %", "PSNR dB", "SSIM", "triangles"]
+    )
 
 
 def trajectory_figure(collected: Collected) -> Figure:
@@ -120,7 +150,9 @@ def trajectory_figure(collected: Collected) -> Figure:
     for number, shape in enumerate(dict.fromkeys(dumps["shape"])):
         for axis, table, value in zip(axes[0], (losses, dumps, dumps), ("loss", "chamfer %", "bottleneck"), strict=True):
             draw_band(axis, table[table["shape"] == shape], value, shape, f"C{number}")
-    for axis, title in zip(axes[0], ("photometric loss (log)", "Chamfer, % of the diagonal (log)", "bottleneck, discriminating dimension")):
+    for axis, title in zip(
+        axes[0], ("photometric loss (log)", "Chamfer, % of the diagonal (log)", "bottleneck, discriminating dimension")
+    ):
         axis.set_title(title, fontsize=9)
         axis.set_xlabel("step")
         axis.grid(alpha=0.25)
@@ -137,12 +169,23 @@ def trajectory_table(collected: Collected) -> pd.DataFrame:
     """Return what the trajectories show: per shape and dump step the seeds' mean bottleneck, significant counts and Chamfer."""
     table = dump_table(collected.records)
     grouped = table.groupby(["shape", "step"], sort=False)
-    return pd.DataFrame({"bottleneck": grouped["bottleneck"].mean().round(4), "counts": grouped["count"].agg(lambda c: "/".join(map(str, c))),
-                         "Chamfer %": grouped["chamfer %"].mean().round(3)}).unstack("shape").swaplevel(axis=1).sort_index(axis=1, level=0)
+    return (
+        pd.DataFrame(
+            {
+                "bottleneck": grouped["bottleneck"].mean().round(4),
+                "counts": grouped["count"].agg(lambda c: "/".join(map(str, c))),
+                "Chamfer %": grouped["chamfer %"].mean().round(3),
+            }
+        )
+        .unstack("shape")
+        .swaplevel(axis=1)
+        .sort_index(axis=1, level=0)
+    )
 
 
 def beside_paper(collected: Collected) -> pd.DataFrame:
-    """Return ours beside the paper's C0: tail mean and sd (n - 1) over seeds, their ratio, and Chamfer where the paper prints one."""
+    """Return ours beside the paper's C0: tail mean and sd (n - 1) over seeds, their ratio, and Chamfer where the paper prints
+    one."""
     paper = pd.concat([published("1"), published("2")])
     paper = paper[(paper["condition"] == "C0") & (paper["quantity"] == "tail_bottleneck")].set_index("shape")
     chamfers = published("chamfer")
@@ -151,9 +194,30 @@ def beside_paper(collected: Collected) -> pd.DataFrame:
     rows = []
     for shape, group in ours.groupby("shape", sort=False):
         known = shape in paper.index
-        rows.append({"shape": shape, "dimension": group["dimension"].iloc[0], "seeds": len(group), "our tail": round(group["tail"].mean(), 4),
-                     "± sd": round(group["tail"].std(), 4), "paper's tail": paper["value"].get(shape), "± sd, paper": paper["sd"].get(shape),
-                     "ours / paper's": round(group["tail"].mean() / paper["value"][shape], 2) if known else None,
-                     "our Chamfer %": round(group["Chamfer %"].mean(), 2), "paper's Chamfer %": chamfers.get(shape)})
-    columns = ["shape", "dimension", "seeds", "our tail", "± sd", "paper's tail", "± sd, paper", "ours / paper's", "our Chamfer %", "paper's Chamfer %"]
+        rows.append(
+            {
+                "shape": shape,
+                "dimension": group["dimension"].iloc[0],
+                "seeds": len(group),
+                "our tail": round(group["tail"].mean(), 4),
+                "± sd": round(group["tail"].std(), 4),
+                "paper's tail": paper["value"].get(shape),
+                "± sd, paper": paper["sd"].get(shape),
+                "ours / paper's": round(group["tail"].mean() / paper["value"][shape], 2) if known else None,
+                "our Chamfer %": round(group["Chamfer %"].mean(), 2),
+                "paper's Chamfer %": chamfers.get(shape),
+            }
+        )
+    columns = [
+        "shape",
+        "dimension",
+        "seeds",
+        "our tail",
+        "± sd",
+        "paper's tail",
+        "± sd, paper",
+        "ours / paper's",
+        "our Chamfer %",
+        "paper's Chamfer %",
+    ]
     return pd.DataFrame(rows, columns=columns).set_index("shape")

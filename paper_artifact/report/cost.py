@@ -1,7 +1,8 @@
-"""What the persistence step costs (App. H, "Cost scaling"): time against M beside gudhi and the paper, the loss's share of a run, memory.
+"""What the persistence step costs (App. H, "Cost scaling"): time against M beside gudhi and the paper, the loss's share of a run,
+memory.
 
-Times are CPU milliseconds of one process; each ratio is of two times taken in turns within that process. A stored table names the machine.
-"""
+Times are CPU milliseconds of one process; each ratio is of two times taken in turns within that process. A stored table names the
+machine."""
 
 from __future__ import annotations
 
@@ -21,8 +22,11 @@ SIZES = (2048, 4096, 8192, 20_000)
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
 
 
-def measure_all(sizes: Sequence[int] = SIZES, repetitions: int = 5, progress: Callable[[str], None] | None = None) -> pd.DataFrame:
-    """Return one line per M (see `topology.benchmark.persistence_rows`), with this machine's CPU and the versions; about a minute of CPU."""
+def measure_all(
+    sizes: Sequence[int] = SIZES, repetitions: int = 5, progress: Callable[[str], None] | None = None
+) -> pd.DataFrame:
+    """Return one line per M (see `topology.benchmark.persistence_rows`), with this machine's CPU and the versions; about a minute
+    of CPU."""
     rows = []
     for size in sizes:
         rows += persistence_rows((size,), repetitions)
@@ -33,15 +37,25 @@ def measure_all(sizes: Sequence[int] = SIZES, repetitions: int = 5, progress: Ca
 
 
 def beside_paper(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return time per persistence step against M: ours, gudhi `safe` in the same process, their ratio, and the paper's (gudhi on its machine);
-    last line: the growth exponent p of time ~ M^p from the smallest to the largest M."""
+    """Return time per persistence step against M: ours, gudhi `safe` in the same process, their ratio, and the paper's (gudhi on
+    its machine); last line: the growth exponent p of time ~ M^p from the smallest to the largest M."""
     paper = published("cost")
     paper = paper[paper["quantity"] == "persistence_ms"].astype({"samples": int}).set_index("samples")["value"]
-    table = pd.DataFrame({"ours ms": stored["fast_ms"].round(0), "gudhi ms": stored["gudhi_ms"].round(0), "gudhi / ours": stored["ratio"].round(1),
-                          "paper ms": stored["M"].map(paper)}).set_axis(stored["M"].map("M = {}".format))
+    table = pd.DataFrame(
+        {
+            "ours ms": stored["fast_ms"].round(0),
+            "gudhi ms": stored["gudhi_ms"].round(0),
+            "gudhi / ours": stored["ratio"].round(1),
+            "paper ms": stored["M"].map(paper),
+        }
+    ).set_axis(stored["M"].map("M = {}".format))
     rows = stored.to_dict("records")
     papers = [{"M": size, "ms": value} for size, value in paper.items()]
-    exponents = {"ours ms": growth_exponent(rows), "gudhi ms": growth_exponent(rows, "gudhi_ms"), "paper ms": growth_exponent(papers, "ms")}
+    exponents = {
+        "ours ms": growth_exponent(rows),
+        "gudhi ms": growth_exponent(rows, "gudhi_ms"),
+        "paper ms": growth_exponent(papers, "ms"),
+    }
     table.loc["growth exponent"] = pd.Series({name: round(value, 2) for name, value in exponents.items()})
     return table.astype(object).where(table.notna(), "")
 
@@ -58,7 +72,8 @@ def stage_table(stored: pd.DataFrame) -> pd.DataFrame:
 def machine(stored: pd.DataFrame) -> str:
     """Return the line that says where the stored times come from."""
     row = stored.iloc[0]
-    return f"{row['cpu']}, one thread, gudhi {row['gudhi']}, numba {row['numba']}; medians of {row['repetitions']} turns, torus cloud"
+    versions = f"gudhi {row['gudhi']}, numba {row['numba']}"
+    return f"{row['cpu']}, one thread, {versions}; medians of {row['repetitions']} turns, torus cloud"
 
 
 def cost_figure(stored: pd.DataFrame) -> Figure:
@@ -70,7 +85,9 @@ def cost_figure(stored: pd.DataFrame) -> Figure:
     axis.plot(paper["samples"], paper["value"], color="#555555", marker="x", markersize=5, label="paper (gudhi, its machine)")
     axis.plot(stored["M"], stored["fast_ms"], color="#1f5fbf", marker="o", markersize=4, label="ours")
     ends = np.array([stored["M"].min(), stored["M"].max()], dtype=float)
-    axis.plot(ends, stored["fast_ms"].iloc[0] * ends / ends[0] * 0.8, color="black", linestyle=":", linewidth=0.9, label="slope 1")
+    axis.plot(
+        ends, stored["fast_ms"].iloc[0] * ends / ends[0] * 0.8, color="black", linestyle=":", linewidth=0.9, label="slope 1"
+    )
     axis.set(xscale="log", yscale="log", xlabel="samples M", ylabel="CPU ms per persistence step")
     axis.set_xticks(list(stored["M"]), [str(size) for size in stored["M"]])
     axis.minorticks_off()
@@ -86,9 +103,10 @@ def now_table(sizes: Sequence[int] = (2048, 4096), repetitions: int = 3) -> pd.D
 
 
 def share_table(collected: Collected) -> pd.DataFrame:
-    """Return per shape what the loss adds to training, from the recorded C1 runs: its stage's seconds over the photometric training's in
-    the same run (percent), its share of training, and CPU seconds and peak memory of whole runs (evaluation included) under C0 and C1; beside the
-    paper's. Means over seeds. Evaluation is the study's cost, not the method's, and left out of the percentages."""
+    """Return per shape what the loss adds to training, from the recorded C1 runs: its stage's seconds over the photometric
+    training's in the same run (percent), its share of training, and CPU seconds and peak memory of whole runs (evaluation
+    included) under C0 and C1; beside the paper's. Means over seeds. Evaluation is the study's cost, not the method's, and left
+    out of the percentages."""
     paper = published("cost").set_index("quantity")["value"]
     low, high, own = paper["photometric_seconds_low"], paper["photometric_seconds_high"], paper["loss_seconds_per_run"]
     rows = []
@@ -97,15 +115,31 @@ def share_table(collected: Collected) -> pd.DataFrame:
         if not baseline or not loss:
             continue
         added = float(np.mean([record["timings"]["topology"] / _photometric(record) for record in loss]))
-        row = {"shape": shape, "seeds": len(loss), "loss adds %": round(100 * added), "share of training %": round(100 * added / (1 + added))}
+        row = {
+            "shape": shape,
+            "seeds": len(loss),
+            "loss adds %": round(100 * added),
+            "share of training %": round(100 * added / (1 + added)),
+        }
         groups = {"C0": baseline, "C1": loss}
-        row |= {f"CPU s {name}": round(float(np.mean([record["cpu_seconds"] for record in group]))) for name, group in groups.items()}
-        row |= {f"peak MiB {name}": round(float(np.mean([record["host"]["peak_memory_mib"] for record in group]))) for name, group in groups.items()}
+        row |= {
+            f"CPU s {name}": round(float(np.mean([record["cpu_seconds"] for record in group]))) for name, group in groups.items()
+        }
+        row |= {
+            f"peak MiB {name}": round(float(np.mean([record["host"]["peak_memory_mib"] for record in group])))
+            for name, group in groups.items()
+        }
         rows.append(row)
-    printed = {"shape": "paper (training on a GPU, gudhi on the CPU)", "loss adds %": f"{100 * own / high:.0f}–{100 * own / low:.0f}",
-               "share of training %": f"{100 * own / (high + own):.0f}–{100 * own / (low + own):.0f}",
-               "CPU s C0": f"{low:.0f}–{high:.0f}", "CPU s C1": f"{low + own:.0f}–{high + own:.0f}"}
-    return pd.concat([pd.DataFrame(rows).astype(object), pd.DataFrame([printed])], ignore_index=True).fillna("").set_index("shape")
+    printed = {
+        "shape": "paper (training on a GPU, gudhi on the CPU)",
+        "loss adds %": f"{100 * own / high:.0f}–{100 * own / low:.0f}",
+        "share of training %": f"{100 * own / (high + own):.0f}–{100 * own / (low + own):.0f}",
+        "CPU s C0": f"{low:.0f}–{high:.0f}",
+        "CPU s C1": f"{low + own:.0f}–{high + own:.0f}",
+    }
+    return (
+        pd.concat([pd.DataFrame(rows).astype(object), pd.DataFrame([printed])], ignore_index=True).fillna("").set_index("shape")
+    )
 
 
 def _photometric(record: dict) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,13 +12,25 @@ from matplotlib.figure import Figure
 
 DPI = 90
 # One colour per condition in every figure: grey baseline, blue loss and its variants, red controls.
-COLOURS = {"C0": "#555555", "C1": "#1f5fbf", "C2": "#c0392b", "C2g": "#e59866", "C3": "#2e9cca", "C4": "#7d5ba6", "C5": "#1e8449",
-           "C6": "#b7950b", "C7": "#6fa8dc", "C7h": "#a9cce3"}
+COLOURS = {
+    "C0": "#555555",
+    "C1": "#1f5fbf",
+    "C2": "#c0392b",
+    "C2g": "#e59866",
+    "C3": "#2e9cca",
+    "C4": "#7d5ba6",
+    "C5": "#1e8449",
+    "C6": "#b7950b",
+    "C7": "#6fa8dc",
+    "C7h": "#a9cce3",
+}
 
 
 def new_figure(rows: int, columns: int, width: float, height: float, **options) -> tuple[Figure, np.ndarray]:
     """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes in inches."""
-    figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), dpi=DPI, squeeze=False, layout="constrained", **options)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(width * columns, height * rows), dpi=DPI, squeeze=False, layout="constrained", **options
+    )
     plt.close(figure)  # the notebook shows what a cell returns; an open figure would be shown a second time
     return figure, axes
 
@@ -44,35 +56,11 @@ def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: s
     axis.fill_between(mean.index, group.min(), group.max(), color=colour, alpha=0.18, linewidth=0)
 
 
-def trajectories(table: pd.DataFrame, values: Mapping[str, str], by: str = "condition", colours: Mapping[str, str] = COLOURS,
-                 references: Mapping[str, float] | None = None, log: Iterable[str] = (), marked: Mapping[str, float] | None = None) -> Figure:
-    """Return one axes per entry of `values` (column -> title) over training steps, one line (mean) and band (range) per `by`.
-
-    references: column -> a dashed horizontal line; marked: text -> a vertical line at that step; log: columns with a log scale.
-    """
-    figure, axes = new_figure(1, len(values), 3.6, 2.7)
-    for axis, (value, title) in zip(axes[0], values.items(), strict=True):
-        for number, (key, part) in enumerate(table.dropna(subset=[value]).groupby(by, sort=False)):
-            draw_band(axis, part, value, str(key), colours.get(str(key), f"C{number}"))
-        if references and value in references:
-            axis.axhline(references[value], color="black", linestyle="--", linewidth=0.8)
-        for step in (marked or {}).values():
-            axis.axvline(step, color="black", linestyle=":", linewidth=0.7)
-        axis.set(title=title, xlabel="step")
-        axis.title.set_fontsize(9)
-        if value in log:
-            axis.set_yscale("log")
-        elif not table.empty:
-            axis.set_ylim(bottom=0)
-        axis.tick_params(labelsize=7)
-        axis.grid(alpha=0.25)
-    axes[0][-1].legend(fontsize=7)
-    return figure
-
-
-def draw_diagram(axis: Axes, bars: np.ndarray, floor: float, limit: float, target: np.ndarray | None = None, title: str = "") -> None:
-    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large dots),
-    and the target's bars as stars."""
+def draw_diagram(
+    axis: Axes, bars: np.ndarray, floor: float, limit: float, target: np.ndarray | None = None, title: str = ""
+) -> None:
+    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large
+    dots), and the target's bars as stars."""
     margin = 0.04 * limit
     axis.plot([0, limit], [0, limit], color="black", linewidth=0.7)
     axis.plot([0, limit], [floor, limit + floor], color="black", linewidth=0.6, linestyle=":")
@@ -86,10 +74,15 @@ def draw_diagram(axis: Axes, bars: np.ndarray, floor: float, limit: float, targe
     axis.tick_params(labelsize=6)
 
 
-def draw_cloud(axis: Axes, points: np.ndarray, title: str, axes: tuple[int, int] = (0, 2), limits: tuple | None = None,
-               depth: int | None = None) -> None:
+def draw_cloud(
+    axis: Axes,
+    points: np.ndarray,
+    title: str,
+    axes: tuple[int, int] = (0, 2),
+    limits: tuple | None = None,
+) -> None:
     """Draw points (n,3) projected on two coordinate axes, coloured by the third (dark: far)."""
-    depth = ({0, 1, 2} - set(axes)).pop() if depth is None else depth
+    depth = ({0, 1, 2} - set(axes)).pop()
     order = np.argsort(-points[:, depth])
     chosen = points[order]
     axis.scatter(chosen[:, axes[0]], chosen[:, axes[1]], c=-chosen[:, depth], cmap="viridis", s=2.5, linewidths=0)

@@ -1,4 +1,5 @@
-"""The C-matrix (Table 1) and what stands around it: trajectories, per-seed tails, counts, diagrams; from whatever runs are recorded."""
+"""The C-matrix (Table 1) and what stands around it: trajectories, per-seed tails, counts, diagrams; from whatever runs are
+recorded."""
 
 from __future__ import annotations
 
@@ -35,13 +36,15 @@ def papers_tails() -> pd.DataFrame:
 
 
 def matrix_table(collected: Collected) -> pd.DataFrame:
-    """Return Table 1: a row per condition, two columns per shape, ours (mean ± sd, C0 / this, seeds) beside the paper's; "not recorded" where
-    a study's cell has no run yet, with how many seeds of how many where some are missing."""
+    """Return Table 1: a row per condition, two columns per shape, ours (mean ± sd, C0 / this, seeds) beside the paper's; "not
+    recorded" where a study's cell has no run yet, with how many seeds of how many where some are missing."""
     judged = verdict(rows_of(collected.records))
     paper = papers_tails()
     paper = paper[paper["quantity"] == "tail_bottleneck"]
     wanted: dict[tuple[str, str], int] = {}
-    for shape, condition in [(r["config"]["shape"], r["config"]["condition"]) for r in collected.records] + [run[:2] for run in collected.missing]:
+    for shape, condition in [(r["config"]["shape"], r["config"]["condition"]) for r in collected.records] + [
+        run[:2] for run in collected.missing
+    ]:
         wanted[shape, condition] = wanted.get((shape, condition), 0) + 1
     columns = {}
     for shape in dict.fromkeys(shape for shape, _ in wanted):
@@ -63,21 +66,29 @@ def matrix_table(collected: Collected) -> pd.DataFrame:
 
 
 def verdicts(collected: Collected) -> pd.DataFrame:
-    """Return per shape the verdict of ours and, where the paper prints per-seed tails, of the paper's by the same rule; Chamfer of C1 / C0
-    (parity: at most 1.15), Welch's sigma C0 - C1 (five seeds each), seeds of C1 with phantoms or missing features."""
+    """Return per shape the verdict of ours and, where the paper prints per-seed tails, of the paper's by the same rule; Chamfer
+    of C1 / C0 (parity: at most 1.15), Welch's sigma C0 - C1 (five seeds each), seeds of C1 with phantoms or missing features."""
     theirs = verdict(published_rows(papers_tails()))
     rows = []
     for shape, judged in verdict(rows_of(collected.records)).items():
-        rows.append({"shape": shape, "verdict": judged.outcome, "paper's tails give": theirs[shape].outcome if shape in theirs else "",
-                     "Chamfer C1 / C0": "" if judged.parity_ratio is None else f"{judged.parity_ratio:.2f}",
-                     "Welch C0 − C1": f"{judged.welch['C0']:.1f}" if "C0" in judged.welch else "",
-                     "phantoms in C1, seeds": _seeds(judged.phantoms.get("C1")), "lost in C1, seeds": _seeds(judged.missing.get("C1")),
-                     "lost in C2, seeds": _seeds(judged.missing.get("C2"))})
+        rows.append(
+            {
+                "shape": shape,
+                "verdict": judged.outcome,
+                "paper's tails give": theirs[shape].outcome if shape in theirs else "",
+                "Chamfer C1 / C0": "" if judged.parity_ratio is None else f"{judged.parity_ratio:.2f}",
+                "Welch C0 − C1": f"{judged.welch['C0']:.1f}" if "C0" in judged.welch else "",
+                "phantoms in C1, seeds": _seeds(judged.phantoms.get("C1")),
+                "lost in C1, seeds": _seeds(judged.missing.get("C1")),
+                "lost in C2, seeds": _seeds(judged.missing.get("C2")),
+            }
+        )
     return pd.DataFrame(rows).set_index("shape") if rows else pd.DataFrame()
 
 
 def reasons(collected: Collected) -> str:
-    """Return one line per shape: the verdict and its reason; and the separations that the paper's text quotes, ours beside its."""
+    """Return one line per shape: the verdict and its reason; and the separations that the paper's text quotes, ours beside
+    its."""
     judged = verdict(rows_of(collected.records))
     lines = [f"{shape}: {each.outcome}: {each.reason}" for shape, each in judged.items()]
     sigmas = published("ablations")
@@ -85,17 +96,22 @@ def reasons(collected: Collected) -> str:
         first, second = row.condition.split(" vs ")
         arms = judged[row.shape].arms if row.shape in judged else {}
         ours = welch_sigma(arms[first].tails, arms[second].tails) if first in arms and second in arms else None
-        lines.append(f"Welch, {row.shape} {row.condition}: paper {row.value:.1f}; ours "
-                     + ("needs five recorded seeds of each" if ours is None else f"{abs(ours):.1f}"))
+        lines.append(
+            f"Welch, {row.shape} {row.condition}: paper {row.value:.1f}; ours "
+            + ("needs five recorded seeds of each" if ours is None else f"{abs(ours):.1f}")
+        )
     return "\n".join(lines)
 
 
 def chamfer_table(collected: Collected) -> pd.DataFrame:
-    """Return mean Chamfer (both directions' mean, % of D) per shape and condition, ours beside the numbers that the paper's text gives."""
+    """Return mean Chamfer (both directions' mean, % of D) per shape and condition, ours beside the numbers that the paper's text
+    gives."""
     rows = pd.DataFrame(rows_of(collected.records))
     if rows.empty:
         return rows
-    ours = (100 * rows.groupby(["shape", "condition"], sort=False)["chamfer"].mean()).round(3).unstack("shape").add_suffix(", ours")
+    ours = (
+        (100 * rows.groupby(["shape", "condition"], sort=False)["chamfer"].mean()).round(3).unstack("shape").add_suffix(", ours")
+    )
     paper = published("chamfer")
     paper = paper[(paper["quantity"] == "chamfer_percent") & paper["shape"].isin(rows["shape"])]
     theirs = paper.set_index(["condition", "shape"])["value"].unstack("shape").add_suffix(", paper")
@@ -105,7 +121,8 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
 
 
 def trajectory_figure(collected: Collected, shapes: Sequence[str] = ("sphere", "torus"), value: str = "bottleneck") -> Figure:
-    """Return Fig. S6 (value "bottleneck") or Fig. S4 ("count"): one axes per shape, a line (mean) and band (range of seeds) per condition."""
+    """Return Fig. S6 (value "bottleneck") or Fig. S4 ("count"): one axes per shape, a line (mean) and band (range of seeds) per
+    condition."""
     figure, axes = new_figure(1, len(shapes), 4.6, 3.2)
     for axis, shape in zip(axes[0], shapes, strict=True):
         records = collected.of(shape)
@@ -113,7 +130,9 @@ def trajectory_figure(collected: Collected, shapes: Sequence[str] = ("sphere", "
         for condition in (each for each in CONDITIONS if (table["condition"] == each).any()):
             draw_band(axis, table[table["condition"] == condition], value, condition, COLOURS[condition])
         if value == "count" and records and records[0]["mesh"]["betti"]:
-            axis.axhline(records[0]["mesh"]["betti"][records[0]["mesh"]["dimension"]], color="black", linestyle="--", linewidth=0.8)
+            axis.axhline(
+                records[0]["mesh"]["betti"][records[0]["mesh"]["dimension"]], color="black", linestyle="--", linewidth=0.8
+            )
         title = f"{shape}: " + ("bottleneck to target" if value == "bottleneck" else "significant bars")
         axis.set_title(title + (f", H{records[0]['mesh']['dimension']}" if records else ", no run recorded"), fontsize=9)
         axis.set_xlabel("step")
@@ -139,8 +158,16 @@ def seed_table(collected: Collected) -> pd.DataFrame:
     for shape, judged in verdict(rows_of(collected.records)).items():
         for condition in (each for each in CONDITIONS if each in judged.arms):
             arm = judged.arms[condition]
-            rows.append({"shape": shape, "condition": condition, "seeds": "/".join(map(str, arm.seeds)), "our tails": _join(arm.tails),
-                         "Table S7": paper.get((shape, condition), ""), "counts": "/".join(str(count) for count in arm.counts)})
+            rows.append(
+                {
+                    "shape": shape,
+                    "condition": condition,
+                    "seeds": "/".join(map(str, arm.seeds)),
+                    "our tails": _join(arm.tails),
+                    "Table S7": paper.get((shape, condition), ""),
+                    "counts": "/".join(str(count) for count in arm.counts),
+                }
+            )
     return pd.DataFrame(rows).set_index(["shape", "condition"]) if rows else pd.DataFrame()
 
 
@@ -163,10 +190,15 @@ def seed_figure(collected: Collected, shapes: Sequence[str] = ("sphere", "torus"
     return figure
 
 
-def diagram_figure(collected: Collected, shape: str = "sphere", seed: int = 0, conditions: Sequence[str] = ("C0", "C1", "C2"),
-                   steps: Sequence[int] = (200, 700, 1300, 2500)) -> Figure:
-    """Return Fig. S1: the live diagrams' longest bars in the discriminating dimension (20,000 samples, radius / D) under each condition (rows)
-    at four steps (columns); stars: the target's significant bars."""
+def diagram_figure(
+    collected: Collected,
+    shape: str = "sphere",
+    seed: int = 0,
+    conditions: Sequence[str] = ("C0", "C1", "C2"),
+    steps: Sequence[int] = (200, 700, 1300, 2500),
+) -> Figure:
+    """Return Fig. S1: the live diagrams' longest bars in the discriminating dimension (20,000 samples, radius / D) under each
+    condition (rows) at four steps (columns); stars: the target's significant bars."""
     figure, axes = new_figure(len(conditions), len(steps), 2.1, 2.1)
     target = make_target(surface(shape), cache=None)
     stars = target.diagram[target.dimension]
@@ -177,12 +209,19 @@ def diagram_figure(collected: Collected, shape: str = "sphere", seed: int = 0, c
         for step, axis in zip(steps, line, strict=True):
             dumps = [dump for record in records for dump in record["dumps"] if dump["step"] == step]
             bars = np.asarray(dumps[0]["bars"][target.dimension] if dumps else [], dtype=float).reshape(-1, 2)
-            draw_diagram(axis, bars, target.floor, limit, stars, f"{condition}, step {step}" + ("" if dumps else ": not recorded"))
+            draw_diagram(
+                axis, bars, target.floor, limit, stars, f"{condition}, step {step}" + ("" if dumps else ": not recorded")
+            )
     return figure
 
 
-def diagram_table(collected: Collected, shape: str = "sphere", seed: int = 0, conditions: Sequence[str] = ("C0", "C1", "C2"),
-                  steps: Sequence[int] = (200, 700, 1300, 2500)) -> pd.DataFrame:
+def diagram_table(
+    collected: Collected,
+    shape: str = "sphere",
+    seed: int = 0,
+    conditions: Sequence[str] = ("C0", "C1", "C2"),
+    steps: Sequence[int] = (200, 700, 1300, 2500),
+) -> pd.DataFrame:
     """Return the figure's numbers: birth and death of the longest live bar per condition and step."""
     rows = {}
     for condition in conditions:
@@ -190,7 +229,9 @@ def diagram_table(collected: Collected, shape: str = "sphere", seed: int = 0, co
             if record["config"]["seed"] == seed:
                 dimension = record["mesh"]["dimension"]
                 bars = {dump["step"]: dump["bars"][dimension][0] for dump in record["dumps"] if dump["bars"][dimension]}
-                rows[condition] = {f"step {step}": f"({bars[step][0]:.4f}, {bars[step][1]:.4f})" for step in steps if step in bars}
+                rows[condition] = {
+                    f"step {step}": f"({bars[step][0]:.4f}, {bars[step][1]:.4f})" for step in steps if step in bars
+                }
     return pd.DataFrame.from_dict(rows, orient="index")
 
 

@@ -1,4 +1,5 @@
-"""Measurements that take too long for a notebook: made once by `python -m paper_artifact measure NAME`, kept in `results/measured/NAME.csv`."""
+"""Measurements that take too long for a notebook: made once by `python -m paper_artifact measure NAME`, kept in
+`results/measured/NAME.csv`."""
 
 from __future__ import annotations
 
@@ -24,13 +25,16 @@ class Measurement(NamedTuple):
 
 
 MEASUREMENTS = {
-    "staircase": Measurement("staircase", "measure_all", "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds"),
+    "staircase": Measurement(
+        "staircase", "measure_all", "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds"
+    ),
     "cost": Measurement("cost", "measure_all", "time and memory of persistence against the number of samples, on this machine"),
 }
 
 
 def measure(name: str, folder: Path | str = MEASURED, progress: Callable[[str], None] | None = None) -> Path:
-    """Make the measurement `name` and write its CSV (6 significant digits); return the path. Raises InputError for another name."""
+    """Make the measurement `name` and write its CSV (6 significant digits); return the path. Raises InputError for another
+    name."""
     _known(name)
     measurement = MEASUREMENTS[name]
     function = getattr(importlib.import_module(f"paper_artifact.report.{measurement.module}"), measurement.function)
@@ -40,14 +44,17 @@ def measure(name: str, folder: Path | str = MEASURED, progress: Callable[[str], 
 
 
 def read(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:
-    """Return the stored measurement `name`. Raises InputError, with the command that makes it, when it is missing or cannot be read."""
+    """Return the stored measurement `name`. Raises InputError, with the command that makes it, when it is missing or cannot be
+    read."""
     _known(name)
     path = Path(folder) / f"{name}.csv"
     try:
         return pd.read_csv(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot read the measurement {path.name} ({type(error).__name__}); "
-                         f"make it with `python -m paper_artifact measure {name}`") from error
+        raise InputError(
+            f"cannot read the measurement {path.name} ({type(error).__name__}); "
+            f"make it with `python -m paper_artifact measure {name}`"
+        ) from error
 
 
 def _known(name: str) -> None:

@@ -27,17 +27,27 @@ def measure(seeds: Iterable[int], samples: int = SAMPLES) -> Measured:
 
 
 def reading_table(measured: Measured) -> pd.DataFrame:
-    """Return one line per case and seed: A's parameter, Chamfer (sum, %) of A, B and of a perfect surface, Hausdorff95 (%) and whom it prefers,
-    bottleneck (significant bars, radius / D) of A and B and their ratio."""
+    """Return one line per case and seed: A's parameter, Chamfer (sum, %) of A, B and of a perfect surface, Hausdorff95 (%) and
+    whom it prefers, bottleneck (significant bars, radius / D) of A and B and their ratio."""
     rows = []
     for (name, seed), (probe, a, b) in measured.items():
-        rows.append({"case": name, "dimension": f"H{probe.dimension}", "seed": seed, "A's deformation": round(probe.parameter, 3),
-                     "Chamfer % A": round(100 * a.chamfer_sum, 3), "Chamfer % B": round(100 * b.chamfer_sum, 3),
-                     "perfect": round(100 * noise_floor(probe, seed), 3),
-                     "Hausdorff95 % A": round(100 * a.hausdorff95, 2), "Hausdorff95 % B": round(100 * b.hausdorff95, 2),
-                     "Hausdorff95 prefers": "A" if a.hausdorff95 < b.hausdorff95 else "B",
-                     "bottleneck A": round(a.bottleneck, 4), "bottleneck B": round(b.bottleneck, 4),
-                     "B / A": round(b.bottleneck / a.bottleneck, 1) if a.bottleneck > 0 else np.inf})
+        rows.append(
+            {
+                "case": name,
+                "dimension": f"H{probe.dimension}",
+                "seed": seed,
+                "A's deformation": round(probe.parameter, 3),
+                "Chamfer % A": round(100 * a.chamfer_sum, 3),
+                "Chamfer % B": round(100 * b.chamfer_sum, 3),
+                "perfect": round(100 * noise_floor(probe, seed), 3),
+                "Hausdorff95 % A": round(100 * a.hausdorff95, 2),
+                "Hausdorff95 % B": round(100 * b.hausdorff95, 2),
+                "Hausdorff95 prefers": "A" if a.hausdorff95 < b.hausdorff95 else "B",
+                "bottleneck A": round(a.bottleneck, 4),
+                "bottleneck B": round(b.bottleneck, 4),
+                "B / A": round(b.bottleneck / a.bottleneck, 1) if a.bottleneck > 0 else np.inf,
+            }
+        )
     return pd.DataFrame(rows).set_index(["case", "seed"])
 
 
@@ -49,18 +59,27 @@ def beside_paper(readings: pd.DataFrame) -> pd.DataFrame:
     for name in dict.fromkeys(case for case, _ in readings.index):
         mean_a, mean_b = a.mean()[name], b.mean()[name]
         prefers = table["Hausdorff95 prefers"].agg(lambda s: "/".join(s))[name]
-        rows.append({"case": name, "Chamfer % A = B": _mean_sd(chamfer, name, 3), "paper's Chamfer %": paper[name, "A = B", "chamfer_sum_percent"],
-                     "bottleneck A": _mean_sd(a, name, 4), "paper's A": paper[name, "A", "bottleneck"],
-                     "bottleneck B": _mean_sd(b, name, 4), "paper's B": paper[name, "B", "bottleneck"],
-                     "B / A": f"{mean_b / mean_a:.1f}×" if mean_a > 0 else "—",
-                     "paper's B / A": f"{paper[name, 'B / A', 'ratio']:.0f}×" if (name, "B / A", "ratio") in paper.index else "—",
-                     "Hausdorff95 prefers": prefers, "paper: prefers": "B" if paper[name, "", "hausdorff95_prefers_B"] else "A"})
+        rows.append(
+            {
+                "case": name,
+                "Chamfer % A = B": _mean_sd(chamfer, name, 3),
+                "paper's Chamfer %": paper[name, "A = B", "chamfer_sum_percent"],
+                "bottleneck A": _mean_sd(a, name, 4),
+                "paper's A": paper[name, "A", "bottleneck"],
+                "bottleneck B": _mean_sd(b, name, 4),
+                "paper's B": paper[name, "B", "bottleneck"],
+                "B / A": f"{mean_b / mean_a:.1f}×" if mean_a > 0 else "—",
+                "paper's B / A": f"{paper[name, 'B / A', 'ratio']:.0f}×" if (name, "B / A", "ratio") in paper.index else "—",
+                "Hausdorff95 prefers": prefers,
+                "paper: prefers": "B" if paper[name, "", "hausdorff95_prefers_B"] else "A",
+            }
+        )
     return pd.DataFrame(rows).set_index("case").T
 
 
 def picture(measured: Measured, seed: int) -> Figure:
-    """Return one row per case: clouds of A and B from the side, and their diagrams in the discriminating dimension (stars: the ground
-    truth's significant bars; dotted: the floor)."""
+    """Return one row per case: clouds of A and B from the side, and their diagrams in the discriminating dimension (stars: the
+    ground truth's significant bars; dotted: the floor)."""
     cases = [case for case, each in measured if each == seed]
     figure, axes = new_figure(len(cases), 4, 2.5, 2.4)
     for case, line in zip(cases, axes, strict=True):

@@ -1,8 +1,7 @@
 """The runs that a report rests on: the committed records of the study's configurations, and, plainly, those that are missing.
 
-A record counts only if its configuration is exactly the study's for (shape, condition, seed), by hash: a record of other settings is
-another experiment. In the profile "full" the same configurations are trained again, into a folder of their own.
-"""
+A record counts only if its configuration is exactly the study's for (shape, condition, seed), by hash: a record of other settings
+is another experiment. In the profile "full" the same configurations are trained again, into a folder of their own."""
 
 from __future__ import annotations
 
@@ -31,16 +30,22 @@ class Collected:
 
     def of(self, shape: str, condition: str | None = None) -> tuple[dict, ...]:
         """Return the records of one shape, and of one condition unless it is None."""
-        return tuple(record for record in self.records if record["config"]["shape"] == shape
-                     and condition in (None, record["config"]["condition"]))
+        return tuple(
+            record
+            for record in self.records
+            if record["config"]["shape"] == shape and condition in (None, record["config"]["condition"])
+        )
 
 
 def study_config(shape: str, condition: str = "C0", seed: int = 0) -> RunConfig:
-    """Return the study's full configuration of one run, with the condition's parameters written out as `train.run` records them."""
+    """Return the study's full configuration of one run, with the condition's parameters written out as `train.run` records
+    them."""
     return with_condition(default_config(shape, condition=condition, seed=seed), None)
 
 
-def collect(wanted: Iterable[Run], profile: str = "recorded", folder: Path = RESULTS / "runs", retrained: Path = RETRAINED) -> Collected:
+def collect(
+    wanted: Iterable[Run], profile: str = "recorded", folder: Path = RESULTS / "runs", retrained: Path = RETRAINED
+) -> Collected:
     """Return the records of the wanted runs.
 
     profile "recorded": read them from `folder`; "full": train each into `retrained` (hours; what is there already is kept).
@@ -94,16 +99,26 @@ def soup_path(record: Mapping, results: Path = RESULTS) -> Path:
 
 
 def dump_table(records: Iterable[Mapping]) -> pd.DataFrame:
-    """Return one line per record and dump: shape, condition, seed, step, bottleneck and count in the discriminating dimension, Chamfer.
+    """Return one line per record and dump: shape, condition, seed, step, bottleneck and count in the discriminating dimension,
+    Chamfer.
 
     bottleneck: radius / diagonal; chamfer: mean of both directions / diagonal, percent.
     """
     rows = []
     for record in records:
         dimension, config = record["mesh"]["dimension"], record["config"]
-        rows += [{"shape": config["shape"], "condition": config["condition"], "seed": config["seed"], "step": dump["step"],
-                  "bottleneck": dump["bottleneck"][dimension], "count": dump["counts"][dimension], "chamfer %": 100 * dump["chamfer"]}
-                 for dump in record["dumps"]]
+        rows += [
+            {
+                "shape": config["shape"],
+                "condition": config["condition"],
+                "seed": config["seed"],
+                "step": dump["step"],
+                "bottleneck": dump["bottleneck"][dimension],
+                "count": dump["counts"][dimension],
+                "chamfer %": 100 * dump["chamfer"],
+            }
+            for dump in record["dumps"]
+        ]
     return pd.DataFrame(rows, columns=["shape", "condition", "seed", "step", "bottleneck", "count", "chamfer %"])
 
 
@@ -112,6 +127,8 @@ def loss_table(records: Iterable[Mapping]) -> pd.DataFrame:
     rows = []
     for record in records:
         config = record["config"]
-        rows += [{"shape": config["shape"], "condition": config["condition"], "seed": config["seed"], "step": step, "loss": loss}
-                 for step, loss in zip(record["losses"].get("step", []), record["losses"].get("loss", []), strict=True)]
+        rows += [
+            {"shape": config["shape"], "condition": config["condition"], "seed": config["seed"], "step": step, "loss": loss}
+            for step, loss in zip(record["losses"].get("step", []), record["losses"].get("loss", []), strict=True)
+        ]
     return pd.DataFrame(rows, columns=["shape", "condition", "seed", "step", "loss"])

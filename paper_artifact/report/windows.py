@@ -19,12 +19,23 @@ from paper_artifact.report.published import published
 from paper_artifact.report.staircase import MULTIPLIER, measure, surface
 from paper_artifact.study.protocol import protocol_of
 
-# Finite classes (H0, H1, H2) per shape. The external meshes' genera are certified; a bowl has no class of its own but reads as a void
-# with a rim.
+# Finite classes (H0, H1, H2) per shape. The external meshes' genera are certified; a bowl has no class of its own but reads as
+# a void with a rim.
 FEATURES = {
-    "sphere": (0, 0, 1), "cube": (0, 0, 1), "torus": (0, 2, 1), "two_spheres": (1, 0, 2), "double_torus": (0, 4, 1), "spot": (0, 0, 1),
-    "fandisk": (0, 0, 1), "bob": (0, 2, 1), "rocker-arm": (0, 2, 1), "eight": (0, 4, 1), "armadillo": (0, 0, 1), "horse": (0, 0, 1),
-    "bowl_narrow": (0, 1, 1), "bowl_wide": (0, 1, 1),
+    "sphere": (0, 0, 1),
+    "cube": (0, 0, 1),
+    "torus": (0, 2, 1),
+    "two_spheres": (1, 0, 2),
+    "double_torus": (0, 4, 1),
+    "spot": (0, 0, 1),
+    "fandisk": (0, 0, 1),
+    "bob": (0, 2, 1),
+    "rocker-arm": (0, 2, 1),
+    "eight": (0, 4, 1),
+    "armadillo": (0, 0, 1),
+    "horse": (0, 0, 1),
+    "bowl_narrow": (0, 1, 1),
+    "bowl_wide": (0, 1, 1),
 }
 NAMES = ("component", "loop", "void")
 
@@ -42,13 +53,24 @@ def margin_table(shapes: Iterable[str] = tuple(FEATURES), seeds: Iterable[int] =
             for dimension, count in enumerate(FEATURES[shape]):
                 margins = np.sort(lifetimes(diagram[dimension]))[::-1][:count] / floor
                 acts = protocol.dimensions is None or dimension in protocol.dimensions
-                rows += [{"shape": shape, "M": protocol.samples, "seed": seed, "dimension": dimension, "rank": rank + 1, "margin": margin,
-                          "in": bool(acts and margin > 1)} for rank, margin in enumerate(margins)]
+                rows += [
+                    {
+                        "shape": shape,
+                        "M": protocol.samples,
+                        "seed": seed,
+                        "dimension": dimension,
+                        "rank": rank + 1,
+                        "margin": margin,
+                        "in": bool(acts and margin > 1),
+                    }
+                    for rank, margin in enumerate(margins)
+                ]
     return pd.DataFrame(rows)
 
 
 def window_table(margins: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
-    """Return Table S13: tightest IN and largest OUT margin per shape (this seed, and the range over all), flip points k, beside the paper's."""
+    """Return Table S13: tightest IN and largest OUT margin per shape (this seed, and the range over all), flip points k, beside
+    the paper's."""
     paper = published("S13").set_index(["shape", "quantity"])["value"]
     rows = []
     for shape, group in margins.groupby("shape", sort=False):
@@ -68,16 +90,20 @@ def window_table(margins: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
 
 
 def median_margins(margins: pd.DataFrame) -> pd.DataFrame:
-    """Return a margin table with one line per feature, the median over the seeds; IN if that exceeds 1 where the loss acts ("seed" -1)."""
+    """Return a margin table with one line per feature, the median over the seeds; IN if that exceeds 1 where the loss acts
+    ("seed" -1)."""
     keys = ["shape", "M", "dimension", "rank"]
     table = margins.groupby(keys, sort=False)["margin"].median().reset_index().assign(seed=-1)
-    acts = [protocol_of(shape).dimensions is None or dimension in protocol_of(shape).dimensions
-            for shape, dimension in zip(table["shape"], table["dimension"])]
+    acts = [
+        protocol_of(shape).dimensions is None or dimension in protocol_of(shape).dimensions
+        for shape, dimension in zip(table["shape"], table["dimension"])
+    ]
     return table.assign(**{"in": np.array(acts) & (table["margin"] > 1)})
 
 
 def global_window(margins: pd.DataFrame, without: Sequence[tuple[str, int]] = ()) -> pd.DataFrame:
-    """Return the interval of k in which no decision changes, per seed and of the median margins, with the two binding features; beside the paper's.
+    """Return the interval of k in which no decision changes, per seed and of the median margins, with the two binding features;
+    beside the paper's.
 
     without: (shape, dimension) features left out, to see what binds next.
     """
@@ -86,27 +112,53 @@ def global_window(margins: pd.DataFrame, without: Sequence[tuple[str, int]] = ()
     rows = []
     for seed, group in pd.concat([kept, median_margins(kept)]).groupby("seed", sort=False):
         low, high = _extreme(group[~group["in"]], "max"), _extreme(group[group["in"]], "min")
-        rows.append({"source": f"ours, seed {seed}" if seed >= 0 else "ours, median margins", "k from": round(MULTIPLIER * low["margin"], 2), "bound by (OUT)": _name(low),
-                     "k to": round(MULTIPLIER * high["margin"], 2), "bound by (IN)": _name(high)})
+        rows.append(
+            {
+                "source": f"ours, seed {seed}" if seed >= 0 else "ours, median margins",
+                "k from": round(MULTIPLIER * low["margin"], 2),
+                "bound by (OUT)": _name(low),
+                "k to": round(MULTIPLIER * high["margin"], 2),
+                "bound by (IN)": _name(high),
+            }
+        )
     paper = published("S13").set_index("quantity")["value"]
-    rows.append({"source": "paper", "k from": paper["window_low"], "bound by (OUT)": "double_torus loop 3", "k to": paper["window_high"],
-                 "bound by (IN)": "bob void 1"})
+    rows.append(
+        {
+            "source": "paper",
+            "k from": paper["window_low"],
+            "bound by (OUT)": "double_torus loop 3",
+            "k to": paper["window_high"],
+            "bound by (IN)": "bob void 1",
+        }
+    )
     return pd.DataFrame(rows).set_index("source")
 
 
 def window_figure(margins: pd.DataFrame) -> Figure:
-    """Return per shape its features' flip points 6·margin (medians over the seeds) on a common axis of k: filled IN, hollow OUT; the band is
-    the window of k, small dots are single seeds."""
+    """Return per shape its features' flip points 6·margin (medians over the seeds) on a common axis of k: filled IN, hollow OUT;
+    the band is the window of k, small dots are single seeds."""
     figure, axes = new_figure(1, 1, 7.5, 4.2)
     axis, group = axes[0][0], median_margins(margins)
     shapes = list(dict.fromkeys(group["shape"]))
     colours = ("#1e8449", "#1f5fbf", "#c0392b")
     for row in group.itertuples():
         inside = group.loc[row.Index, "in"]
-        axis.scatter(MULTIPLIER * row.margin, shapes.index(row.shape), s=34, facecolor=colours[row.dimension] if inside else "none",
-                     edgecolor=colours[row.dimension], linewidths=1.1, zorder=3)
-    axis.scatter(MULTIPLIER * margins["margin"], [shapes.index(each) for each in margins["shape"]], s=3,
-                 color=[colours[each] for each in margins["dimension"]], linewidths=0)
+        axis.scatter(
+            MULTIPLIER * row.margin,
+            shapes.index(row.shape),
+            s=34,
+            facecolor=colours[row.dimension] if inside else "none",
+            edgecolor=colours[row.dimension],
+            linewidths=1.1,
+            zorder=3,
+        )
+    axis.scatter(
+        MULTIPLIER * margins["margin"],
+        [shapes.index(each) for each in margins["shape"]],
+        s=3,
+        color=[colours[each] for each in margins["dimension"]],
+        linewidths=0,
+    )
     low = MULTIPLIER * group.loc[~group["in"], "margin"].max()
     high = MULTIPLIER * group.loc[group["in"], "margin"].min()
     axis.axvspan(low, high, color="#f5d76e", alpha=0.5, linewidth=0)

@@ -1,11 +1,11 @@
 """Blindness probes (App. A (1), Table S1): a topologically right A and a wrong B that Chamfer cannot tell apart.
 
-Three cases. In each, B has a defect of fixed size and A a benign deformation whose size is found by bisection, so that both have the same Chamfer
-distance to the ground truth. The paper gives no parameters; the defects here were matched to its printed values.
+Three cases. In each, B has a defect of fixed size and A a benign deformation whose size is found by bisection, so that both have
+the same Chamfer distance to the ground truth. The paper gives no parameters; the defects here were matched to its printed values.
 
-  thin handle (H1): unit sphere; B = sphere with a ring (a torus of major radius .495 and tube .055) through its pole; A = an outward Gaussian bump
-  bridge (H0): two unit spheres 1.4 apart; B = with an open tube of radius .1137 between them; A = everything scaled about the centre
-  puncture (H2): unit sphere; B = without the cap of opening angle .591; A = everything scaled about the centre
+  thin handle (H1): unit sphere; B = with a ring (a torus, major radius .495, tube .055) through its pole; A = with a Gaussian
+  bump bridge (H0): two unit spheres 1.4 apart; B = with an open tube of radius .1137 between them; A = scaled about the centre
+  puncture (H2): unit sphere; B = without the cap of opening angle .591; A = scaled about the centre
 
 Chamfer here is the SUM of both directions' mean distances, divided by D, the ground truth's bounding-box diagonal (Table 1 uses
 the mean). Samples are uniform by area on the surfaces themselves, 40,000 a cloud; all three clouds are independent.
@@ -35,8 +35,8 @@ TABLE_SIZE = 4001  # points of the tabulated area of a surface of revolution
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """One case, matched. truth, a, b: clouds (n,3) float64 world units; diagonal: of the ground truth; dimension: the discriminating one;
-    parameter: the size of A's deformation that bisection found (bump height, or scale)."""
+    """One case, matched. truth, a, b: clouds (n,3) float64 world units; diagonal: of the ground truth; dimension: the
+    discriminating one; parameter: the size of A's deformation that bisection found (bump height, or scale)."""
 
     name: str
     dimension: int
@@ -50,8 +50,8 @@ class Probe:
 @dataclass(frozen=True, eq=False)
 class Reading:
     """What the metrics say about one cloud against the ground truth. chamfer_sum, hausdorff95: / D; bars (k,2): every bar in the
-    discriminating dimension, radius / D; floor: the cloud's own; target (m,2): the ground truth's significant bars; bottleneck: of the
-    significant bars to those."""
+    discriminating dimension, radius / D; floor: the cloud's own; target (m,2): the ground truth's significant bars; bottleneck:
+    of the significant bars to those."""
 
     chamfer_sum: float
     hausdorff95: float
@@ -80,7 +80,9 @@ def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> Probe:
     truth_of, a_of, b_of, diagonal, dimension, low, high = _CASES[name]()
     truth, b = truth_of(draws["truth"]), b_of(draws["b"])
     wanted = chamfer_sum(b, truth, diagonal)
-    parameter = _bisect(lambda size: chamfer_sum(a_of(draws["a"], size), truth, diagonal) - wanted, low, high, TOLERANCE * wanted, name)
+    parameter = _bisect(
+        lambda size: chamfer_sum(a_of(draws["a"], size), truth, diagonal) - wanted, low, high, TOLERANCE * wanted, name
+    )
     return Probe(name, dimension, truth, a_of(draws["a"], parameter), b, diagonal, parameter)
 
 
@@ -121,8 +123,11 @@ def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance
     return (low + high) / 2
 
 
-def revolution(radius: Callable[[np.ndarray], np.ndarray], u: np.ndarray, v: np.ndarray, start: float = 0.0, end: float = np.pi) -> np.ndarray:
-    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z; u, v (n,) uniform in [0,1).
+def revolution(
+    radius: Callable[[np.ndarray], np.ndarray], u: np.ndarray, v: np.ndarray, start: float = 0.0, end: float = np.pi
+) -> np.ndarray:
+    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z; u, v (n,) uniform in
+    [0,1).
 
     The area element r sqrt(r² + r'²) sin is tabulated and inverted, so that the points move continuously with `radius`.
     """
@@ -132,7 +137,9 @@ def revolution(radius: Callable[[np.ndarray], np.ndarray], u: np.ndarray, v: np.
     cumulated = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
     polar = np.interp(u * cumulated[-1], cumulated, angle)
     distance, turn = radius(polar), 2 * np.pi * v
-    return np.column_stack([distance * np.sin(polar) * np.cos(turn), distance * np.sin(polar) * np.sin(turn), distance * np.cos(polar)])
+    return np.column_stack(
+        [distance * np.sin(polar) * np.cos(turn), distance * np.sin(polar) * np.sin(turn), distance * np.cos(polar)]
+    )
 
 
 def sphere_points(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -165,7 +172,9 @@ def _handle_points(draws: np.ndarray) -> np.ndarray:
 
 def _thin_handle():
     def bump(draws, height):
-        return revolution(lambda angle: 1 + height * np.exp(-(2 * np.sin(angle / 2)) ** 2 / (2 * BUMP_WIDTH**2)), draws[0], draws[1])
+        return revolution(
+            lambda angle: 1 + height * np.exp(-((2 * np.sin(angle / 2)) ** 2) / (2 * BUMP_WIDTH**2)), draws[0], draws[1]
+        )
 
     return lambda draws: sphere_points(draws[0], draws[1]), bump, _handle_points, 2 * np.sqrt(3), 1, 0.0, 0.6
 
@@ -192,8 +201,15 @@ def _puncture():
     def punctured(draws):
         return revolution(np.ones_like, draws[0], draws[1], start=CAP_ANGLE)
 
-    return (lambda draws: sphere_points(draws[0], draws[1]), lambda draws, scale: scale * sphere_points(draws[0], draws[1]), punctured,
-            2 * np.sqrt(3), 2, 1.0, 1.1)
+    return (
+        lambda draws: sphere_points(draws[0], draws[1]),
+        lambda draws, scale: scale * sphere_points(draws[0], draws[1]),
+        punctured,
+        2 * np.sqrt(3),
+        2,
+        1.0,
+        1.1,
+    )
 
 
 _CASES = {"thin handle": _thin_handle, "bridge": _bridge, "puncture": _puncture}

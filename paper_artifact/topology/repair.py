@@ -166,4 +166,8 @@ def _bridge(generator, links: int = CHAIN):
     return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + links // 2), 0, 0.01, 1000
 
 
-_PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge, "T4d": lambda generator: _bridge(generator, DENSE_CHAIN)}
+def _dense_bridge(generator):
+    return _bridge(generator, DENSE_CHAIN)
+
+
+_PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge, "T4d": _dense_bridge}
