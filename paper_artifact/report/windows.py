@@ -73,8 +73,8 @@ def margin_table(shapes: Iterable[str] = tuple(FEATURES), seeds: Iterable[int] =
 
 
 def window_table(margins: pd.DataFrame) -> pd.DataFrame:
-    """Return Table S13: tightest IN and largest OUT margin per shape (the bundle's seed, and the range over all), flip points k, beside
-    the paper's."""
+    """Return Table S13: tightest IN and largest OUT margin per shape (the bundle's seed, and the range over all), flip points k,
+    beside the paper's."""
     paper = published("S13").set_index(["shape", "quantity"])["value"]
     rows = []
     for shape, group in margins.groupby("shape", sort=False):
