@@ -14,9 +14,8 @@ import numpy as np
 import torch
 
 from paper_artifact.raster import edges, photometric, shading
-from paper_artifact.raster.fused import to_clip
 from paper_artifact.raster.threads import run_jobs
-from paper_artifact.raster.visibility import ViewRaster
+from paper_artifact.raster.visibility import ViewRaster, to_clip
 
 
 class RasterBuffers:

@@ -13,7 +13,7 @@ import numpy as np
 
 from paper_artifact.raster import edges, photometric, shading
 from paper_artifact.raster.threads import run_jobs
-from paper_artifact.raster.visibility import ViewRaster
+from paper_artifact.raster.visibility import ViewRaster, to_clip
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,3 @@ class FusedStep:
 
         losses = run_jobs(job, count)
         return sum(losses), Gradients(out[0].sum(0), out[1].sum(0), out[2].sum(0), tuple(array.sum(0) for array in out_mlp))
-
-
-def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return clip-space points (V,4) float32 of corners (V,3) float32 under matrix (4,4) float32.
-
-    Summed in a fixed order: a BLAS product may choose another one on another machine.
-    """
-    clip = np.empty((len(corners), 4), np.float32)
-    for row in range(4):
-        clip[:, row] = corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
-    return clip

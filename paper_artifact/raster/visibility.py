@@ -187,6 +187,17 @@ def resolve_visibility(visible, fragment_index, triangle, pixels):
     return covered
 
 
+def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return clip-space points (V,4) float32 of corners (V,3) float32 under matrix (4,4) float32.
+
+    Summed in a fixed order: a BLAS product may choose another one on another machine.
+    """
+    clip = np.empty((len(corners), 4), np.float32)
+    for row in range(4):
+        clip[:, row] = corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
+    return clip
+
+
 @dataclass
 class ViewRaster:
     """One view's raster and its reusable buffers (see the kernels for each array's meaning)."""

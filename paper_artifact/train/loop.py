@@ -66,11 +66,6 @@ def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarr
     return train[order[position * batch:(position + 1) * batch]]
 
 
-def scene_radius(scene: Scene) -> float:
-    """Return the scene's unit of length for learning rates: its own bounding radius, world units."""
-    return float(scene.radius)
-
-
 @one_torch_thread()
 def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, evaluate: Callable[[Soup, int], dict] | None = None,
           checkpoint: Path | None = None, progress: Callable[[int, str], None] | None = None, device: str = "auto",
@@ -105,7 +100,7 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
     shading = torch.optim.Adam(soup.mlp, lr=config.mlp_lr)
     if shading_state is not None:
         shading.load_state_dict(shading_state)
-    vertex_lr = config.vertex_lr * scene_radius(scene)
+    vertex_lr = config.vertex_lr * float(scene.radius)
     optimisers = _soup_optimisers(soup, config, vertex_lr)
     resampled = True
     for step in range(start + 1, config.steps + 1):
