@@ -30,8 +30,8 @@ def collect_study(name: str = "table1", profile: str = "recorded", folder: Path 
 
 
 def papers_tails() -> pd.DataFrame:
-    """Return everything the paper prints of the analytic shapes' tails: Table 1, the text's C2g, C7 and C7h, Table S7."""
-    frames = [published(name) for name in ("1", "noise", "ablations", "S7")]
+    """Return everything the paper prints of tails: Tables 1, 2, S10 (bowls) and S7, the text's C2g, C7 and C7h."""
+    frames = [published(name) for name in ("1", "2", "S10", "noise", "ablations", "S7")]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -120,11 +120,16 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
     return table[[each for each in order if each in table]].astype(object).where(lambda frame: frame.notna(), "")
 
 
-def trajectory_figure(collected: Collected, shapes: Sequence[str] = ("sphere", "torus"), value: str = "bottleneck") -> Figure:
-    """Return Fig. S6 (value "bottleneck") or Fig. S4 ("count"): one axes per shape, a line (mean) and band (range of seeds) per
-    condition."""
-    figure, axes = new_figure(1, len(shapes), 4.6, 3.2)
-    for axis, shape in zip(axes[0], shapes, strict=True):
+def trajectory_figure(
+    collected: Collected, shapes: Sequence[str] = ("sphere", "torus"), value: str = "bottleneck", columns: int = 2
+) -> Figure:
+    """Return Figs. S6, S2 (value "bottleneck") or Fig. S4 ("count"): one axes per shape, `columns` in a row, a line (mean) and
+    band (range of seeds) per condition."""
+    size = (4.6, 3.2) if columns < 3 else (3.0, 2.4)
+    figure, axes = new_figure(-(-len(shapes) // columns), min(columns, len(shapes)), *size)
+    for axis in axes.flat[len(shapes) :]:
+        axis.set_axis_off()
+    for axis, shape in zip(axes.flat, shapes):
         records = collected.of(shape)
         table = dump_table(records)
         for condition in (each for each in CONDITIONS if (table["condition"] == each).any()):

@@ -1,0 +1,111 @@
+"""The generality wave (Table 2, Table S7, Fig. S2): external meshes in two observable-class groups, from whatever runs are
+recorded.
+
+A tail is the bottleneck distance to the target in the shape's discriminating dimension, mean of the last three dumps, 20,000
+samples, radius / bounding-box diagonal of the ground truth.
+"""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.diagram import significant_counts
+from paper_artifact.evaluate.evaluate import DISCRIMINATING, make_target
+from paper_artifact.report.matrix import papers_tails
+from paper_artifact.report.published import published
+from paper_artifact.report.runs import Collected
+from paper_artifact.report.staircase import measure, surface
+from paper_artifact.study.protocol import protocol_of
+from paper_artifact.study.tables import arm_text, counts_text, published_rows
+from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
+
+# Pre-registered (App. G): the observable class that the staircase gave each shape.
+GROUPS = {
+    "loop group": ("bob", "rocker-arm", "eight"),
+    "void group": ("spot", "fandisk", "pot", "armadillo", "horse"),
+}
+ARMS = ("C0", "C1", "C2")
+
+
+def judged(collected: Collected) -> dict[str, Verdict]:
+    """Return the verdict per shape. Expected counts are the bundle's bars in the discriminating dimension, for every arm: what
+    the protocol calls measurable (C0 itself has no bundle)."""
+    bundles = {
+        record["config"]["shape"]: len(record["bundle"]["bars"][record["mesh"]["dimension"]])
+        for record in collected.records
+        if record.get("bundle")
+    }
+    return verdict([row | {"expected": bundles.get(row["shape"])} for row in rows_of(collected.records)])
+
+
+def generality_table(collected: Collected) -> pd.DataFrame:
+    """Return Table 2: a row per shape, per arm ours (mean ± sd (C0 / this), counts at the end seed by seed) beside the paper's;
+    then a row per group with the mean ± sd of C0 / C1 over its members and how many pass, once all of them are recorded."""
+    found, paper, rows = judged(collected), published("2"), {}
+    printed = paper[paper["quantity"] == "tail_bottleneck"].set_index(["shape", "condition"])
+    groups = paper[paper["quantity"] == "ratio_C0_over_C1"].set_index("shape")
+    for group, members in GROUPS.items():
+        for shape in members:
+            row = {}
+            for condition in ARMS:
+                arm = found[shape].arms.get(condition) if shape in found else None
+                shown = condition != "C0"
+                row[condition, "ours"] = (
+                    "not recorded"
+                    if arm is None
+                    else f"{arm_text(arm.mean, arm.sd, arm.ratio if shown else None)} [{counts_text(arm)}]"
+                )
+                mean, sd = printed.loc[(shape, condition), ["value", "sd"]]
+                ratio = printed.loc[(shape, "C0"), "value"] / mean if shown else None
+                row[condition, "paper"] = arm_text(mean, sd, ratio)
+            row["verdict", "ours"] = found[shape].outcome if shape in found else "not recorded"
+            rows[shape] = row
+        try:
+            mean, sd, passes = group_statistic(found, members)
+            ours = f"{mean:.2f}× ± {sd:.2f}, {passes} of {len(members)} pass"
+        except InputError:
+            ours = "not all recorded"
+        rows[group] = {("C1", "ours"): ours, ("C1", "paper"): f"{groups['value'][group]:.2f}× ± {groups['sd'][group]:.2f}"}
+    return pd.DataFrame.from_dict(rows, orient="index").fillna("")
+
+
+def verdict_lines(collected: Collected) -> pd.DataFrame:
+    """Return per shape our verdict with its reason, that of the paper's per-seed tails (Table S7) by the same rule, Chamfer
+    C1 / C0 and C2 / C0 beside the ratios that the paper's text gives, and C1's seeds with more or fewer bars than the bundle."""
+    theirs, rows = verdict(published_rows(papers_tails())), {}
+    printed = published("chamfer")
+    printed = printed[printed["quantity"] == "chamfer_ratio_to_C0"].set_index(["shape", "condition"])["value"]
+    for shape, each in judged(collected).items():
+        row = {"verdict": each.outcome, "paper's tails give": theirs[shape].outcome if shape in theirs else ""}
+        for condition in ("C1", "C2"):
+            known = {"C0", condition} <= set(each.arms) and each.arms["C0"].chamfer and each.arms[condition].chamfer
+            ours = f"{each.arms[condition].chamfer / each.arms['C0'].chamfer:.2f}" if known else ""
+            paper = f" (paper {printed[shape, condition]:g})" if (shape, condition) in printed.index else ""
+            row[f"Chamfer {condition} / C0"] = ours + paper
+        row |= {"phantoms in C1, seeds": _seeds(each.phantoms.get("C1")), "lost in C1, seeds": _seeds(each.missing.get("C1"))}
+        rows[shape] = row | {"reason": each.reason}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def count_table(collected: Collected) -> pd.DataFrame:
+    """Return per shape what a count is compared with: bars of the clean surface's bundle at the protocol's M, significant bars
+    of the clean surface at 20,000 samples (the evaluation's own density), and the final counts of every arm, seed by seed; all
+    in the discriminating dimension."""
+    found, rows = judged(collected), {}
+    for shape in (shape for members in GROUPS.values() for shape in members):
+        protocol, mesh, dimension = protocol_of(shape), surface(shape), DISCRIMINATING[shape]
+        bundle = significant_counts(*measure(mesh, protocol.samples, protocol.seed))
+        target = make_target(mesh, cache=None)
+        row = {
+            "dimension": f"H{dimension}",
+            "clean surface, bundle": f"{bundle[dimension]} at M = {protocol.samples}",
+            "clean surface, 20,000": significant_counts(target.diagram, target.floor)[dimension],
+        }
+        arms = found[shape].arms if shape in found else {}
+        rows[shape] = row | {name: counts_text(arms[name]) if name in arms else "not recorded" for name in ARMS}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def _seeds(values: tuple[int, ...] | None) -> str:
+    return "unknown" if values is None else "none" if not values else ", ".join(map(str, values))
