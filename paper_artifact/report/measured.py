@@ -28,6 +28,9 @@ MEASUREMENTS = {
     "staircase": Measurement(
         "staircase", "measure_all", "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds"
     ),
+    "group_wave": Measurement(
+        "group_wave", "measure_all", "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others"
+    ),
     "cost": Measurement("cost", "measure_all", "time and memory of persistence against the number of samples, on this machine"),
 }
 

@@ -1,0 +1,95 @@
+"""The group wave: stored staircases against a new measurement and the paper, the parsing of quoted bars, polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from paper_artifact.certify.certificate import certify
+from paper_artifact.certify.disposition import Disposition
+from paper_artifact.report import group_wave, measured, staircase
+from paper_artifact.report.published import published
+from paper_artifact.scene.shapes import make_shape
+
+BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+SIDES = ("f 1 2 4 3\n", "f 5 7 8 6\n", "f 1 5 6 2\n", "f 3 4 8 7\n", "f 1 3 7 5\n", "f 2/1 6/2 8/3 4/4\n")
+
+
+@pytest.fixture(scope="module")
+def stored():
+    return measured.read("group_wave")
+
+
+def test_the_stored_staircases_are_what_a_measurement_gives(stored):
+    assert len(stored) == len(group_wave.SHAPES) * (40 + 3 * 5)
+    again = staircase.measure_all(("eight", "rocker-arm"), (2048,), (0, 7))
+    lines, difference = staircase.agreement(stored, again)
+    assert lines == 4 and difference < 1e-4
+
+
+def test_the_counts_of_seed_0_are_the_paper_s(stored):
+    paper = published("S11")
+    paper = paper[paper["quantity"] == "significant_count"]
+    own = stored[stored["seed"] == 0].set_index(["shape", "samples"])
+    for row in paper.itertuples():
+        line = own.loc[(row.shape, row.samples)]
+        bars = sum(line[f"h{int(row.dimension)}_{rank}"] > line["floor"] for rank in range(1, 5))
+        assert bars + (row.dimension == 0) == row.value, row
+    table = group_wave.counts_table(stored)
+    assert (table.loc[("eight", "ours")] == table.loc[("eight", "paper")]).all()
+    assert ("bob", "paper") not in table.index and table.loc[("spot", "ours"), "M = 8192"] == "(1,0,2)"
+
+
+def test_the_quoted_bars_are_found(stored):
+    notes = ("loop 4", "second H2 bar", "void", "loop 3; half is the pin .0249", "")
+    assert [group_wave.rank_of(note) for note in notes] == [4, 2, 1, 3, 1]
+    table = group_wave.quoted_table(stored)
+    assert len(table) == 20 and list(table.index[table["paper in range"] == "no"].get_level_values("shape")) == [
+        "rocker-arm", "eight", "cheburashka"]
+    assert table.loc[("eight", 8192, "margin, loop 4"), "paper"] == "1.69"
+    own = stored[(stored["shape"] == "horse") & (stored["samples"] == 20_000)]["h2_1"]
+    assert float(table.loc[("horse", 20_000, "lifetime, void 1"), "median"]) == pytest.approx(np.median(own), abs=5.1e-5)
+
+
+def test_pins_are_half_lifetimes_and_near_the_paper_s(stored):
+    table = group_wave.pin_table(stored)
+    assert list(table.index) == list(group_wave.PINS)
+    own = stored[(stored["shape"] == "eight") & (stored["samples"] == 20_000)]["h1_3"]
+    assert float(table.loc["eight", "half its lifetime"]) == pytest.approx(own.mean() / 2, abs=5.1e-5)
+    assert (table["half its lifetime"].astype(float) - table["paper's pinned tail"].astype(float)).abs().max() < 6e-4
+
+
+def test_seed_dependence_names_the_bar_at_the_floor():
+    lengths = {f"h{d}_{rank}": 0.0 for d in range(3) for rank in range(1, 5)}
+    lines = [{"shape": "x", "samples": samples, "seed": seed, "floor": 1.0, **lengths, "h1_1": 3.0, "h2_1": height}
+             for samples, heights in ((100, (0.9, 1.2, 1.1)), (200, (2.0, 2.0, 2.0))) for seed, height in enumerate(heights)]
+    table = group_wave.seed_dependence(pd.DataFrame(lines))
+    assert list(table.index) == [("x", 100)]
+    row = table.loc[("x", 100)]
+    assert row["counts"] == "(1,1,1) 2×, (1,1,0) 1×" and row["bar at the floor"] == "void 1" and row["median"] == 1.1
+
+
+def test_polygons_are_counted_before_any_split(tmp_path):
+    path = tmp_path / "box.obj"
+    path.write_text(BOX + "".join(SIDES))
+    assert group_wave.polygon_counts(path) == (0, 0, 2)
+    path.write_text(BOX + "".join(SIDES[1:]))
+    assert group_wave.polygon_counts(path) == (4, 0, 1)
+    path.write_text(BOX + "v 0 0 0\n" + "".join(SIDES).replace("f 1 5", "f 9 5") + "f -9 -8 5\n")  # a doubled point, a fin
+    assert group_wave.polygon_counts(path) == (1, 2, 2)
+    path.write_text(BOX + "f 1 2 3\nf 2 3 4\n")
+    assert group_wave.polygon_counts(path) is None and group_wave.polygon_counts(tmp_path / "box.ply") is None
+
+
+def test_dispositions_as_tables(monkeypatch, tmp_path):
+    sphere = make_shape("sphere")
+    inward = certify(sphere.vertices, sphere.faces[:, ::-1], "horse")
+    rows = [Disposition("horse", "pass (g0)", "void group", "pass (g0)", True, inward),
+            Disposition("max-planck", "fail: 161 open edges", "-", "not obtainable", None, None)]
+    monkeypatch.setattr(group_wave, "mesh_path", lambda key: tmp_path / f"{key}.ply")
+    table = group_wave.disposition_table(rows)
+    assert table.loc["horse", "agrees"] == "yes" and table.loc["max-planck", "agrees"] == "—"
+    assert table.loc["horse", "paper's origin"] == "CyberWare / GaTech"
+    detail = group_wave.detail_table(rows)
+    assert list(detail.index) == ["horse"] and detail.loc["horse", "wound"] == "inwards" and detail.loc["horse", "χ"] == 2
