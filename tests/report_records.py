@@ -8,21 +8,30 @@ from pathlib import Path
 from paper_artifact.record.record import make_record, write_record
 from paper_artifact.report.runs import study_config
 
-DIMENSION = {"sphere": 2, "torus": 1, "cube": 2, "two_spheres": 0, "double_torus": 1, "spot": 2}
+DIMENSION = {
+    "sphere": 2,
+    "torus": 1,
+    "cube": 2,
+    "two_spheres": 0,
+    "double_torus": 1,
+    "spot": 2,
+    "bob": 1,
+    "rocker-arm": 1,
+    "eight": 1,
+}
 BETTI = {
     "sphere": (1, 0, 1),
     "torus": (1, 2, 1),
     "cube": (1, 0, 1),
     "two_spheres": (2, 0, 2),
     "double_torus": (1, 4, 1),
-    "spot": None,
 }
 
 
 def study_record(shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None) -> dict:
     """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in the others."""
     config, dimension = study_config(shape, condition, seed), DIMENSION[shape]
-    betti = BETTI[shape] or (1, 0, 1)
+    betti = BETTI.get(shape) or (1, 0, 1)
     counts = list(counts or (betti[0] - 1, *betti[1:]))
     dumps = [
         {
@@ -56,7 +65,7 @@ def study_record(shape: str, condition: str, seed: int, tail: float, chamfer: fl
             "name": shape,
             "sha256": "0" * 64,
             "diagonal": 3.4,
-            "betti": BETTI[shape],
+            "betti": BETTI.get(shape),
             "dimension": dimension,
             "floor": 0.017,
         },
