@@ -7,6 +7,7 @@ samples, radius / bounding-box diagonal of the ground truth.
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 from paper_artifact.errors import InputError
@@ -15,7 +16,7 @@ from paper_artifact.evaluate.evaluate import DISCRIMINATING, make_target
 from paper_artifact.report.matrix import papers_tails
 from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.staircase import measure, surface
+from paper_artifact.report.staircase import longest, measure, surface
 from paper_artifact.study.protocol import protocol_of
 from paper_artifact.study.tables import arm_text, counts_text, published_rows
 from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
@@ -105,6 +106,27 @@ def count_table(collected: Collected) -> pd.DataFrame:
         arms = found[shape].arms if shape in found else {}
         rows[shape] = row | {name: counts_text(arms[name]) if name in arms else "not recorded" for name in ARMS}
     return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def margin_table(collected: Collected) -> pd.DataFrame:
+    """Return per shape and arm how far counts are from turning, seed by seed: the lifetime, over the floor of the same 20,000
+    samples, of the last bar that the bundle expects (count turns at 1), on the clean surface and at step 2500 of every run."""
+    rows = {}
+    for shape in (shape for members in GROUPS.values() for shape in members):
+        protocol, dimension = protocol_of(shape), DISCRIMINATING[shape]
+        expected = significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[dimension]
+        target = make_target(surface(shape), cache=None)
+        row = {"bar": f"H{dimension}, {expected}. longest", "clean surface": _margin(target.diagram[dimension], expected, target.floor)}
+        for name in ARMS:
+            lasts = [record["dumps"][-1] for record in collected.of(shape, name)]
+            margins = [_margin(np.array(last["bars"][dimension]).reshape(-1, 2), expected, last["floor"]) for last in lasts]
+            row[name] = " / ".join(margins) or "not recorded"
+        rows[shape] = row
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def _margin(bars: np.ndarray, rank: int, floor: float) -> str:
+    return f"{longest(bars, rank)[rank - 1] / floor:.2f}"
 
 
 def _seeds(values: tuple[int, ...] | None) -> str:
