@@ -1,4 +1,4 @@
-"""`python -m paper_artifact bench [raster] [run] [persistence]`: speed and memory, ratios from one process."""
+"""`python -m paper_artifact bench [raster] [run] [persistence] [loss] [peers]`: speed and memory, ratios from one process."""
 
 from __future__ import annotations
 
@@ -9,29 +9,40 @@ from pathlib import Path
 
 from paper_artifact.errors import InputError
 
-PARTS = ("raster", "run", "persistence", "loss")
+PARTS = ("raster", "run", "persistence", "loss", "peers")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"what to measure: {', '.join(PARTS)} (default: all)")
+    parser.add_argument("parts", nargs="*", metavar="PART",
+                        help=f"what to measure: {', '.join(PARTS)} (default: all; peers only where one is installed)")
     parser.add_argument("--steps", type=int, default=2500, help="steps of the whole runs (default: %(default)s)")
+    parser.add_argument("--repetitions", type=int, default=7, help="turns of the part peers (default: %(default)s)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the measurements. Returns 0; InputError for an unknown part or steps below 1."""
+    """Print the measurements. Returns 0; InputError for an unknown part, steps or repetitions below 1."""
     unknown = sorted(set(arguments.parts) - set(PARTS))
-    if unknown or arguments.steps < 1:
-        raise InputError(f"unknown part {', '.join(unknown)}; choose among {', '.join(PARTS)}" if unknown else
-                         f"--steps must be at least 1, got {arguments.steps}")
+    if unknown:
+        raise InputError(f"unknown part {', '.join(unknown)}; choose among {', '.join(PARTS)}")
+    for name in ("steps", "repetitions"):
+        if getattr(arguments, name) < 1:
+            raise InputError(f"--{name} must be at least 1, got {getattr(arguments, name)}")
     os.environ["OMP_NUM_THREADS"] = "1"
     import torch
 
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
-        for part in arguments.parts or PARTS:
-            {"raster": _raster, "run": _run, "persistence": _persistence, "loss": _loss}[part](Path(folder), arguments)
+        for part in arguments.parts or _default_parts():
+            measure = {"raster": _raster, "run": _run, "persistence": _persistence, "loss": _loss, "peers": _peers}[part]
+            measure(Path(folder), arguments)
     return 0
+
+
+def _default_parts() -> tuple[str, ...]:
+    from paper_artifact.bench.peers import PEERS, installed
+
+    return PARTS if any(installed(peer) for peer in PEERS) else tuple(part for part in PARTS if part != "peers")
 
 
 def _raster(folder: Path, arguments: argparse.Namespace) -> None:
@@ -76,3 +87,19 @@ def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     print(f"What the loss adds to a run of {arguments.steps} steps (one thread, CPU seconds of the training loop)")
     base, with_loss = (run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1"))
     print(f"  sphere C0 {base:.1f} s, C1 {with_loss:.1f} s: + {100 * (with_loss / base - 1):.0f} % (paper: +110 to +140 %)")
+
+
+def _peers(folder: Path, arguments: argparse.Namespace) -> None:
+    from paper_artifact.bench.peers import peer_rows
+
+    print("Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and backward to the points;")
+    print(f"CPU ms, one thread, medians of {arguments.repetitions} in turn; bars, gradient: distance from ours")
+    missing: list[str] = []
+    for row in peer_rows(repetitions=arguments.repetitions, missing=missing):
+        case = f"{row['cloud']:5s} M = {row['M']:5d}  {row['library']:17s}"
+        forward = f"forward {row['forward_ms']:8.1f} ({row['forward_ratio']:6.1f} × ours)"
+        both = f"backward {row['backward_ms']:8.1f}   both {row['ratio']:7.1f} × ours"
+        agreement = f"bars {row['bar_difference']:.0e}   gradient {row['gradient_difference']:.0e}"
+        print(f"  {case} {forward}   {both}   {agreement}   [{row['version']}: {row['note']}]", flush=True)
+    for line in missing:
+        print(f"  {line}")
