@@ -13,6 +13,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.report.published import published
 from paper_artifact.study.tables import arm_table, arm_text, published_rows, verdict_table
 from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
+from tests.report_records import study_record
 
 # Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
 PER_SEED = {
@@ -158,3 +159,13 @@ def test_tables_put_ours_beside_the_published():
     assert arm_table(ours, published("S7")).set_index("condition").loc["C1", "published mean"] == pytest.approx(.00737, abs=1e-5)
     layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
     assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""
+
+
+def test_every_arm_of_a_shape_is_counted_against_the_same_number():
+    """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has no bundle."""
+    bob = [study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")]  # no Betti numbers; two bars in its bundle
+    assert [row["expected"] for row in rows_of(bob)] == [2, 2] and [row["expected"] for row in rows_of(bob[:1])] == [None]
+    disk = [record | {"mesh": record["mesh"] | {"betti": (1, 0, 0)}} for record in bob]
+    assert [row["expected"] for row in rows_of(disk)] == [2, 2]
+    genus_two = [record | {"mesh": record["mesh"] | {"betti": (1, 4, 1)}} for record in bob]
+    assert [row["expected"] for row in rows_of(genus_two)] == [4, 4]

@@ -86,21 +86,23 @@ class Verdict:
 def rows_of(records: Iterable[Mapping]) -> list[dict]:
     """Return the rows of run records (`paper_artifact.record`); runs that are not done or have no tail are left out.
 
-    Expected counts are the mesh's Betti numbers where known (finite bars: one component less in dimension 0), else the bundle's.
+    Expected counts, the same for every arm of a shape: the mesh's Betti number where known (finite bars: one component less in
+    dimension 0), or the bars of the shape's bundle where they are more (a bowl is a disk, but its samples show a void) or alone.
     """
+    records = [each for each in records if each.get("status", "done") == "done" and each.get("tails")]
+    bundled: dict[str, int] = {}
+    for record in records:
+        if record.get("bundle"):
+            bundled[record["config"]["shape"]] = len(record["bundle"]["bars"][record["mesh"]["dimension"]])
     rows = []
     for record in records:
-        if record.get("status", "done") != "done" or not record.get("tails"):
-            continue
         dimension, tails, mesh = record["mesh"]["dimension"], record["tails"], record["mesh"]
-        expected = None
-        if mesh.get("betti") is not None:
-            expected = mesh["betti"][dimension] - (dimension == 0)
-        elif record.get("bundle"):
-            expected = len(record["bundle"]["bars"][dimension])
+        known = [] if mesh.get("betti") is None else [mesh["betti"][dimension] - (dimension == 0)]
+        known += [bundled[record["config"]["shape"]]] if record["config"]["shape"] in bundled else []
         rows.append({**{name: record["config"][name] for name in ("shape", "condition", "seed")}, "dimension": dimension,
                      "tail": tails["bottleneck"][dimension], "chamfer": tails.get("chamfer"),
-                     "count": tails["counts"][dimension] if tails.get("counts") else None, "expected": expected})
+                     "count": tails["counts"][dimension] if tails.get("counts") else None,
+                     "expected": max(known, default=None)})
     return rows
 
 
