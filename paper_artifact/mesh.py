@@ -67,8 +67,9 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
-def checked_mesh(vertices: np.ndarray, faces: np.ndarray, name: str, betti: tuple[int, int, int] | None = None,
-                 welded: bool = True) -> Mesh:
+def checked_mesh(
+    vertices: np.ndarray, faces: np.ndarray, name: str, betti: tuple[int, int, int] | None = None, welded: bool = True
+) -> Mesh:
     """Return the Mesh of vertices (V,3) and faces (F,3), welded exactly unless `welded` is False.
 
     Raises InputError, naming `name`, for no faces, indices out of range, NaN or infinite coordinates, or a surface
@@ -121,8 +122,10 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
     except Exception as error:  # trimesh's parsers raise whatever their parsing meets
-        raise InputError(f"{path} is damaged or no {kind.upper()} mesh ({type(error).__name__}: {_short(error)}); "
-                         "export it again or correct its extension") from error
+        raise InputError(
+            f"{path} is damaged or no {kind.upper()} mesh ({type(error).__name__}: {_short(error)}); "
+            "export it again or correct its extension"
+        ) from error
     if not parts:
         raise InputError(f"{path} has no triangles; it is empty, damaged, or holds points or curves instead of a surface")
     if kind == "zip" and len(parts) > 1:
@@ -130,17 +133,22 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     for vertices, faces in parts:
         _check_indices(vertices, faces, str(path))
-    mesh = checked_mesh(np.concatenate([vertices for vertices, _ in parts]),
-                        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets)]), str(path),
-                        welded=welded)
+    mesh = checked_mesh(
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets)]),
+        str(path),
+        welded=welded,
+    )
     return Mesh(mesh.vertices, mesh.faces, path.stem)
 
 
 def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
     wrong = faces[(faces < 0) | (faces >= len(vertices))]
     if wrong.size:
-        raise InputError(f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}; "
-                         "the file is damaged or cut off, export it again")
+        raise InputError(
+            f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}; "
+            "the file is damaged or cut off, export it again"
+        )
 
 
 def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -176,8 +184,7 @@ def _check_whole(path: Path, kind: str) -> None:
         rows = lines[1:] if len(lines[0]) > 1 else lines[2:]
         if len(header) >= 2 and header[0].isdigit() and header[1].isdigit() and int(header[1]) > 0:
             rows = rows[: int(header[0]) + int(header[1])]
-            whole = len(rows) == int(header[0]) + int(header[1]) and rows[-1][0].isdigit() and (
-                len(rows[-1]) > int(rows[-1][0]))
+            whole = len(rows) == int(header[0]) + int(header[1]) and rows[-1][0].isdigit() and (len(rows[-1]) > int(rows[-1][0]))
     if not whole:
         raise InputError(f"{path} is cut off: its last line or its number of lines is short; copy or export it again")
 

@@ -67,8 +67,14 @@ def own_kernel() -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="paper_artifact-kernel-") as folder:
         spec = Path(folder) / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
-        spec.write_text(json.dumps({**get_kernel_dict(), "argv": [
-            sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]}))
+        spec.write_text(
+            json.dumps(
+                {
+                    **get_kernel_dict(),
+                    "argv": [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"],
+                }
+            )
+        )
         os.environ["JUPYTER_PATH"] = folder if not before else folder + os.pathsep + before
         try:
             yield KERNEL
@@ -98,8 +104,15 @@ def execute(path: Path, profile: str, *, executed: Path = EXECUTED, refresh: boo
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, error = time.monotonic(), ""
     try:
-        notebook = papermill.execute_notebook(path, executed / path.name, parameters={"profile": profile}, cwd=path.parent,
-                                              kernel_name=KERNEL, language="python", progress_bar=bar)
+        notebook = papermill.execute_notebook(
+            path,
+            executed / path.name,
+            parameters={"profile": profile},
+            cwd=path.parent,
+            kernel_name=KERNEL,
+            language="python",
+            progress_bar=bar,
+        )
         if refresh:
             write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
     except PapermillExecutionError as caught:
@@ -119,10 +132,12 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
     """
     result = nbformat.from_dict(json.loads(nbformat.writes(notebook)))
     result.cells = [cell for cell in result.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
-    result.metadata = NotebookNode({
-        "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": KERNEL},
-        "language_info": {"file_extension": ".py", "mimetype": "text/x-python", "name": "python"},
-    })
+    result.metadata = NotebookNode(
+        {
+            "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": KERNEL},
+            "language_info": {"file_extension": ".py", "mimetype": "text/x-python", "name": "python"},
+        }
+    )
     count = 0
     for cell in result.cells:
         for key in ("papermill", "execution", "collapsed", "scrolled"):

@@ -8,8 +8,9 @@ from paper_artifact.errors import InputError
 from paper_artifact.mesh import face_areas
 
 
-def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator,
-                   weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_surface(
+    vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator, weights: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Draw `count` independent points on the triangles, with density proportional to area × weight.
 
     vertices (V,3) any float, world units; faces (F,3) integer; weights (F,) ≥ 0, for example triangle opacities, or

@@ -51,10 +51,13 @@ def band(length: int, twist: bool, width: int = 3, closed: bool = False) -> tupl
 def joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(
-        [np.asarray(faces) + offset for (_, faces), offset in zip(parts, offsets)])
+        [np.asarray(faces) + offset for (_, faces), offset in zip(parts, offsets)]
+    )
 
 
-def ball(radius: float = 1.0, centre: tuple[float, float, float] = (0, 0, 0), inwards: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def ball(
+    radius: float = 1.0, centre: tuple[float, float, float] = (0, 0, 0), inwards: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     sphere = trimesh.creation.icosphere(2)
     return sphere.vertices * radius + centre, sphere.faces[:, ::-1] if inwards else sphere.faces
 
@@ -64,7 +67,9 @@ def tetrahedron(shift: float = 0.0, sign: float = 1.0) -> tuple[np.ndarray, np.n
     return vertices, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])[:, :: int(sign)]
 
 
-PROJECTIVE_PLANE = np.array([[0, 1, 4], [0, 1, 5], [0, 2, 3], [0, 2, 4], [0, 3, 5], [1, 2, 3], [1, 2, 5], [1, 3, 4], [2, 4, 5], [3, 4, 5]])
+PROJECTIVE_PLANE = np.array(
+    [[0, 1, 4], [0, 1, 5], [0, 2, 3], [0, 2, 4], [0, 3, 5], [1, 2, 3], [1, 2, 5], [1, 3, 4], [2, 4, 5], [3, 4, 5]]
+)
 
 
 def bowl() -> tuple[np.ndarray, np.ndarray]:
@@ -78,9 +83,15 @@ KNOWN = {f"genus {g}": (plate(g), (1, 2 * g, 1), "pass", f"genus {g}") for g in 
     "nested shells": (joined(ball(), ball(0.5, inwards=True)), (2, 0, 2), "pass", "2 × closed surface"),
     "ball and plates": (joined(ball(), plate(2), (plate(1)[0] + 9, plate(1)[1])), (3, 6, 3), "pass", "genus 2"),
     "pinched vertex": (joined(tetrahedron(), tetrahedron(sign=-1)), (1, 0, 2), "fail", "1 pinched vertex"),
-    "common edge": ((np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float),
-                     np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3], [0, 1, 4], [0, 1, 5], [0, 4, 5], [1, 4, 5]])),
-                    (1, 0, 2), "fail", "1 edge with more than two faces"),
+    "common edge": (
+        (
+            np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float),
+            np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3], [0, 1, 4], [0, 1, 5], [0, 4, 5], [1, 4, 5]]),
+        ),
+        (1, 0, 2),
+        "fail",
+        "1 edge with more than two faces",
+    ),
     "Möbius strip": (band(9, twist=True), (1, 1, 0), "fail", "open edges in 1 boundary loop"),
     "annulus": (band(9, twist=False), (1, 1, 0), "fail", "18 open edges in 2 boundary loops"),
     "Klein bottle": (band(9, twist=True, width=5, closed=True), (1, 2, 1), "fail", "not orientable"),

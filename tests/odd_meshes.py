@@ -11,8 +11,10 @@ BALL = trimesh.creation.icosphere(1)
 NOISE = np.random.default_rng(7).integers(0, 256, 4096, dtype=np.uint8).tobytes()
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 TETRAHEDRON = CORNERS + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-PLY_HEAD = ("ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face {}\n"
-            "property list uchar int vertex_indices\nend_header\n")
+PLY_HEAD = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face {}\n"
+    "property list uchar int vertex_indices\nend_header\n"
+)
 
 
 def exported(kind: str, mesh: trimesh.Trimesh = BALL, **options) -> bytes:
@@ -97,7 +99,9 @@ TAKEN: dict[str, bytes] = {
     "huge.obj": obj(_ball[0] * 1e12, _ball[1]),
     "tiny.obj": obj(_ball[0] * 1e-12, _ball[1]),
     "far_away.obj": obj(_ball[0] + 1e6, _ball[1]),
-    "needle.obj": obj(np.array([[0, 0, 0], [1, 0, 0], [1, 1e-7, 0], [0.5, 0, 1e-3]]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+    "needle.obj": obj(
+        np.array([[0, 0, 0], [1, 0, 0], [1, 1e-7, 0], [0.5, 0, 1e-3]]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    ),
     "identical_shells.obj": obj(*shapes.joined(_ball, _ball)),
     "intersecting_shells.obj": obj(*shapes.joined(_ball, _shifted)),
     "nested_shells.obj": obj(*shapes.joined(_ball, shapes.ball(0.5, inwards=True))),

@@ -10,8 +10,21 @@ from pathlib import Path
 
 from paper_artifact.train.config import default_config
 
-CONFIGS = tuple(default_config("sphere", seed=seed, steps=12, budget=30, views=8, size=32, initial_ratio=3.0, resample_every=4,
-                               samples=300, dump_steps=(6, 10, 12)) for seed in (0, 1))
+CONFIGS = tuple(
+    default_config(
+        "sphere",
+        seed=seed,
+        steps=12,
+        budget=30,
+        views=8,
+        size=32,
+        initial_ratio=3.0,
+        resample_every=4,
+        samples=300,
+        dump_steps=(6, 10, 12),
+    )
+    for seed in (0, 1)
+)
 STEP = 8  # of the checkpoint after which `blocked_run` stops
 
 # Imported by every Python that finds it on PYTHONPATH. The first run that writes its checkpoint of STEP leaves a marker and waits
@@ -103,5 +116,8 @@ def results_with_scene(folder: Path, copy_of: Path | None = None) -> Path:
 def same_run(first: dict, second: dict) -> bool:
     """Say whether two records are of the same run, whatever machine, time and stops it had."""
     circumstances = ("timings", "host", "resumed_at", "cpu_seconds", "digest")
-    return all({name: value for name, value in record.items() if name not in circumstances}
-               == {name: value for name, value in first.items() if name not in circumstances} for record in (first, second))
+    return all(
+        {name: value for name, value in record.items() if name not in circumstances}
+        == {name: value for name, value in first.items() if name not in circumstances}
+        for record in (first, second)
+    )

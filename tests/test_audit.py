@@ -1,4 +1,5 @@
-"""Audit: the rule against every decision of the paper, bundles that training builds again, the report, and meshes with nothing to measure."""
+"""Audit: the rule against every decision of the paper, bundles that training builds again, the report, and meshes with nothing to
+measure."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def rung(samples: int, h0: int, h1: int, h2: int, margin: float = 1.5) -> Rung:
     return Rung(samples, 0, 0.05, tuple((margin,) * count + (0.4,) for count in (h0 - 1, h1, h2)))
 
 
-# shape: certified Betti numbers, signatures at M = 2048, 4096, 8192, 20000 (notes and paper, Tables S3, S5, S11), class, M, dimensions, complete
+# shape: certified Betti numbers, signatures at M = 2048, 4096, 8192, 20000 (notes and paper, Tables S3, S5, S11), class, M,
+# dimensions, complete
 STUDY = {
     "sphere": ((1, 0, 1), ["101", "101", "101", "101"], 2, 2048, (2,), True),
     "torus": ((1, 2, 1), ["120", "121", "121", "121"], 1, 2048, (1,), True),
@@ -59,7 +61,12 @@ def test_the_rule_takes_the_papers_decisions(shape):
     rungs = [rung(m, *map(int, sign)) for m, sign in zip((2048, 4096, 8192, 20_000), signatures)]
     for order in (rungs, rungs[::-1]):
         decision = decide(order, certificate)
-        assert (decision.dimension, decision.samples, decision.dimensions, decision.complete) == (dimension, samples, dimensions, complete)
+        assert (decision.dimension, decision.samples, decision.dimensions, decision.complete) == (
+            dimension,
+            samples,
+            dimensions,
+            complete,
+        )
         assert decision.basis == ("observation" if betti is None else "certificate") and decision.reasons
 
 
@@ -109,7 +116,11 @@ def test_the_page_holds_everything_itself():
     page = audit_page(audit)
     assert audit.certificate.passed and audit.certificate.kind == "disk" and audit.decision.basis == "observation"
     assert page.startswith("<!DOCTYPE html>") and "<b>name</b>" not in page and "a &lt;b&gt;name&lt;/b&gt;" in page
-    assert page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 1 and "<iframe" in page and "Betti numbers, Z/2" in page
+    assert (
+        page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 1
+        and "<iframe" in page
+        and "Betti numbers, Z/2" in page
+    )
     assert not re.search(r"(src|href)=['\"]?https?:", page)
     assert page == audit_page(audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)), "the same page again"
 
@@ -118,7 +129,17 @@ def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, c
     trimesh.creation.box(extents=(1, 1, 0.001)).export(tmp_path / "sheet.ply")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "bundle.json").write_text("of an earlier audit")
-    arguments = ["audit", str(tmp_path / "sheet.ply"), "--out", str(tmp_path / "out"), "--quiet", "--densities", "128", "--working", "256"]
+    arguments = [
+        "audit",
+        str(tmp_path / "sheet.ply"),
+        "--out",
+        str(tmp_path / "out"),
+        "--quiet",
+        "--densities",
+        "128",
+        "--working",
+        "256",
+    ]
     assert cli.main(arguments) == 0
     printed = capsys.readouterr().out
     assert "Nothing is measurable" in printed and "paper_artifact train" not in printed
@@ -130,7 +151,17 @@ def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, c
 
 def test_the_verb_writes_report_numbers_and_bundle(tmp_path, capsys):
     trimesh.creation.torus(1.0, 0.38).export(tmp_path / "ring.stl")
-    arguments = ["audit", str(tmp_path / "ring.stl"), "--out", str(tmp_path / "out"), "--quiet", "--densities", "300", "--working", "600"]
+    arguments = [
+        "audit",
+        str(tmp_path / "ring.stl"),
+        "--out",
+        str(tmp_path / "out"),
+        "--quiet",
+        "--densities",
+        "300",
+        "--working",
+        "600",
+    ]
     assert cli.main(arguments) == 0
     printed = capsys.readouterr().out
     assert "genus 1" in printed and "Observable: loops (H1)" in printed and "--condition C2" in printed
@@ -147,7 +178,11 @@ def test_bad_options_are_refused(options, tmp_path, capsys):
 
 def test_a_failing_certificate_is_audited_by_what_is_seen():
     audit = audit_mesh(checked_mesh(*shapes.joined(shapes.tetrahedron(), shapes.tetrahedron(sign=-1)), "pinched"), **SMALL)
-    assert not audit.certificate.passed and audit.decision.basis == "observation" and "certificate fails" in " ".join(audit.decision.reasons)
+    assert (
+        not audit.certificate.passed
+        and audit.decision.basis == "observation"
+        and "certificate fails" in " ".join(audit.decision.reasons)
+    )
     assert isinstance(headline(audit), str) and "fails" in audit_page(audit)
 
 

@@ -87,35 +87,43 @@ def test_unknown_names(refused, tmp_path):
     refused(["train", "sphere", "--device", "tpu", *results], "unknown device 'tpu'")
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["--steps", "-5"], "steps must be at least 1, got -5"),
-    (["--steps=0"], "steps must be at least 1"),
-    (["--seed=-1"], "seed must not be negative"),
-    (["--threads=0"], "--threads must be at least 1"),
-    (["--set=budget=0"], "budget must be at least 1"),
-    (["--set=budget=many"], "--set budget takes a number"),
-    (["--set=budget=2.5"], "--set budget takes a number"),
-    (["--set=views=1"], "views must be at least 2"),
-    (["--set=size=9"], "at least 22 pixels"),
-    (["--set=vertex_lr=-1"], "vertex_lr must be positive"),
-    (["--set=vertex_lr=1e999"], "vertex_lr must be positive and finite"),
-    (["--set=dump_steps=5"], "dump_steps must be a tuple"),
-    (["--set=dump_steps=(5,9999)"], "dump_steps must be a tuple of steps in 1"),
-    (["--set=topology=5"], "topology must be a tuple"),
-    (["--set=background=grey"], "white or black"),
-    (["--set=colour=red"], "unknown configuration colour"),
-    (["--set=steps=5"], "steps has an argument of its own"),
-    (["--set=shape=cube"], "shape has an argument of its own"),
-    (["--set", "budget"], "--set takes NAME=VALUE"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--steps", "-5"], "steps must be at least 1, got -5"),
+        (["--steps=0"], "steps must be at least 1"),
+        (["--seed=-1"], "seed must not be negative"),
+        (["--threads=0"], "--threads must be at least 1"),
+        (["--set=budget=0"], "budget must be at least 1"),
+        (["--set=budget=many"], "--set budget takes a number"),
+        (["--set=budget=2.5"], "--set budget takes a number"),
+        (["--set=views=1"], "views must be at least 2"),
+        (["--set=size=9"], "at least 22 pixels"),
+        (["--set=vertex_lr=-1"], "vertex_lr must be positive"),
+        (["--set=vertex_lr=1e999"], "vertex_lr must be positive and finite"),
+        (["--set=dump_steps=5"], "dump_steps must be a tuple"),
+        (["--set=dump_steps=(5,9999)"], "dump_steps must be a tuple of steps in 1"),
+        (["--set=topology=5"], "topology must be a tuple"),
+        (["--set=background=grey"], "white or black"),
+        (["--set=colour=red"], "unknown configuration colour"),
+        (["--set=steps=5"], "steps has an argument of its own"),
+        (["--set=shape=cube"], "shape has an argument of its own"),
+        (["--set", "budget"], "--set takes NAME=VALUE"),
+    ],
+)
 def test_numbers_out_of_range(arguments, words, refused, tmp_path):
     refused(["train", "sphere", "--quiet", *arguments, "--results", tmp_path / "results"], words)
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["--views", "-8"], "views must be a whole number from 2"), (["--size", "0"], "size must be a whole number"),
-    (["--points", "3"], "points must be a whole number from 4"), (["--seed", "-1"], "seed must be a whole number"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--views", "-8"], "views must be a whole number from 2"),
+        (["--size", "0"], "size must be a whole number"),
+        (["--points", "3"], "points must be a whole number from 4"),
+        (["--seed", "-1"], "seed must be a whole number"),
+    ],
+)
 def test_scene_numbers_out_of_range(arguments, words, refused, tmp_path):
     refused(["scene", "--shape", "sphere", "--quiet", *arguments, "--out", tmp_path / "out"], words)
 
@@ -153,8 +161,12 @@ def test_a_mirror_without_the_file(tmp_path, monkeypatch, refused, capsys):
 
 def recorded(results, config, mesh):
     """Write a record as a finished run leaves it and return its path."""
-    sections = {"images": {"psnr": 20.0, "ssim": 0.5}, "soup": {"triangles": 1}, "cpu_seconds": 1.0,
-                "mesh": {"name": mesh.name, "sha256": mesh_hash(mesh), "dimension": 2}}
+    sections = {
+        "images": {"psnr": 20.0, "ssim": 0.5},
+        "soup": {"triangles": 1},
+        "cpu_seconds": 1.0,
+        "mesh": {"name": mesh.name, "sha256": mesh_hash(mesh), "dimension": 2},
+    }
     return write_record(make_record(config, [], {}, {"photometric": 1.0}, **sections), results / "runs")
 
 

@@ -27,8 +27,9 @@ def test_raster_rows(tiny_scene, monkeypatch, tmp_path):
     monkeypatch.setattr(raster, "sphere_case", lambda results: (tiny_scene, initial_soup(tiny_scene.points, 40, 0)))
     rows = raster.raster_rows(tmp_path, repetitions=2)
     passes = {row["what"]: row for row in rows if row["ratio"] is not None}
-    assert set(passes) == {f"forward + backward, {name}" for name in (raster.FUSED, "numba, torch functions", "twin float32",
-                                                                      "twin float64")}
+    assert set(passes) == {
+        f"forward + backward, {name}" for name in (raster.FUSED, "numba, torch functions", "twin float32", "twin float64")
+    }
     assert passes[f"forward + backward, {raster.FUSED}"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
     stages = [row["what"].split("numba: ")[1] for row in rows if row["ratio"] is None]
     assert len(stages) == 5 and all(stage.endswith("(wall)") for stage in stages)
@@ -47,10 +48,13 @@ def test_run_row_measures_the_training_loop_with_its_term(tiny_results):
     json.dumps(row, allow_nan=False)
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["nonsense", "raster"], "unknown part nonsense; choose among raster, run, persistence, loss"),
-    (["raster", "--steps=0"], "--steps must be at least 1, got 0"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["nonsense", "raster"], "unknown part nonsense; choose among raster, run, persistence, loss"),
+        (["raster", "--steps=0"], "--steps must be at least 1, got 0"),
+    ],
+)
 def test_bad_arguments_are_refused_before_any_measurement(arguments, words, monkeypatch, capsys):
     monkeypatch.setattr(bench, "_raster", None)  # calling it would fail
     assert cli.main(["bench", *arguments]) == 1
@@ -58,11 +62,21 @@ def test_bad_arguments_are_refused_before_any_measurement(arguments, words, monk
 
 
 def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
-    monkeypatch.setattr(raster, "raster_rows", lambda folder: [{"what": "this", "ms": 2.5, "ratio": 31.25},
-                                                               {"what": "that", "ms": 1.0, "ratio": None}])
+    monkeypatch.setattr(
+        raster,
+        "raster_rows",
+        lambda folder: [{"what": "this", "ms": 2.5, "ratio": 31.25}, {"what": "that", "ms": 1.0, "ratio": None}],
+    )
     monkeypatch.setattr("paper_artifact.bench.topology.loss_rows", lambda folder: [{"what": "refresh", "ms": 20.0, "ratio": 1.0}])
-    monkeypatch.setattr("paper_artifact.bench.run.run_row", lambda shape, condition, steps, threads, folder: {
-        "cpu": 40.0, "wall": 61.0, "peak_mb": 512.0, "seconds": {"photometric": 30.0}})
+    monkeypatch.setattr(
+        "paper_artifact.bench.run.run_row",
+        lambda shape, condition, steps, threads, folder: {
+            "cpu": 40.0,
+            "wall": 61.0,
+            "peak_mb": 512.0,
+            "seconds": {"photometric": 30.0},
+        },
+    )
     assert cli.main(["bench", "raster", "run", "--steps", "10"]) == 0
     printed = capsys.readouterr().out
     assert "2.50     31.2 × the trainer's" in printed and "that" in printed

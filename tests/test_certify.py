@@ -1,4 +1,5 @@
-"""Certificates against surfaces of known homology, gudhi's simplicial homology, trimesh's counts, and the paper's dispositions."""
+"""Certificates against surfaces of known homology, gudhi's simplicial homology, trimesh's counts, and the paper's
+dispositions."""
 
 from __future__ import annotations
 
@@ -125,9 +126,17 @@ def test_the_papers_dispositions(key):
 
 def test_the_measured_details_of_the_failures():
     certificate = {key: candidate(key).certificate for key in ("ogre", "teapot", "beast", "cow", "horse")}
-    assert (certificate["ogre"].open_edges_as_indexed, certificate["ogre"].open_edges, len(certificate["ogre"].components)) == (236, 200, 44)
+    assert (certificate["ogre"].open_edges_as_indexed, certificate["ogre"].open_edges, len(certificate["ogre"].components)) == (
+        236,
+        200,
+        44,
+    )
     assert (certificate["teapot"].open_edges_as_indexed, certificate["teapot"].open_edges) == (1036, 160)
-    assert (certificate["beast"].nonmanifold_edges, certificate["beast"].duplicate_faces, certificate["beast"].euler_as_given) == (2, 2, 4)
+    assert (
+        certificate["beast"].nonmanifold_edges,
+        certificate["beast"].duplicate_faces,
+        certificate["beast"].euler_as_given,
+    ) == (2, 2, 4)
     assert (certificate["cow"].betti, certificate["cow"].euler, certificate["cow"].pinched_vertices) == ((1, 1, 1), 1, 1)
     assert certificate["horse"].components[0].volume < 0
 

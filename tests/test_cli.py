@@ -15,8 +15,14 @@ from paper_artifact.files import REPOSITORY
 
 
 def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
-                          env={**os.environ, **environment})
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, **environment},
+    )
 
 
 @pytest.fixture
@@ -43,8 +49,9 @@ def test_help_names_every_verb_and_imports_none_of_them():
     assert not imported & {"numpy", "torch", "numba", "scipy", "tqdm", "pandas", "matplotlib"}
 
 
-@pytest.mark.parametrize("name", [name for name, verb in cli.VERBS.items()
-                                  if (REPOSITORY / "paper_artifact" / "cli" / f"{verb.module}.py").is_file()])
+@pytest.mark.parametrize(
+    "name", [name for name, verb in cli.VERBS.items() if (REPOSITORY / "paper_artifact" / "cli" / f"{verb.module}.py").is_file()]
+)
 def test_each_verb_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main([name, "--help"])
@@ -83,8 +90,10 @@ def test_a_verb_may_define_quiet_itself(verb):
     assert cli.main(["trial"]) == 4
 
 
-@pytest.mark.parametrize("error, words", [(InputError("the mesh a.obj is empty; give another"), "the mesh a.obj is empty"),
-                                          (KeyboardInterrupt(), "interrupted")])
+@pytest.mark.parametrize(
+    "error, words",
+    [(InputError("the mesh a.obj is empty; give another"), "the mesh a.obj is empty"), (KeyboardInterrupt(), "interrupted")],
+)
 def test_failure_is_one_line_and_exit_code_1(error, words, verb, capsys):
     def run(arguments):
         raise error

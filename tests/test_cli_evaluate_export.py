@@ -47,11 +47,14 @@ def test_evaluate_of_a_mesh_file(tmp_path, capsys):
     assert "ball" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments, reason", [
-    (["absent.npz", "--target", "sphere"], "no file at"),
-    (["{soup}", "--target", "klein"], "unknown shape"),
-    (["{soup}", "--target", "sphere", "--samples", "2"], "at least 4"),
-])
+@pytest.mark.parametrize(
+    "arguments, reason",
+    [
+        (["absent.npz", "--target", "sphere"], "no file at"),
+        (["{soup}", "--target", "klein"], "unknown shape"),
+        (["{soup}", "--target", "sphere", "--samples", "2"], "at least 4"),
+    ],
+)
 def test_evaluate_names_bad_input(soup_file, arguments, reason, capsys):
     assert main(["evaluate", *[argument.format(soup=soup_file) for argument in arguments]]) == 1
     assert reason in capsys.readouterr().err

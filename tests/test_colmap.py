@@ -15,12 +15,15 @@ from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, wri
 finite = st.floats(-1e6, 1e6)
 positive = st.floats(1e-3, 1e6)
 pixels = st.integers(1, 10**6)
-pinholes = st.builds(lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)),
-                     pixels, pixels, positive, positive, finite, finite)
-simple = st.builds(lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)),
-                   pixels, pixels, positive, finite, finite)
+pinholes = st.builds(
+    lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)), pixels, pixels, positive, positive, finite, finite
+)
+simple = st.builds(
+    lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)), pixels, pixels, positive, finite, finite
+)
 names = st.text(st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20).filter(
-    lambda name: name == name.strip())
+    lambda name: name == name.strip()
+)
 quaternions = st.tuples(finite, finite, finite, finite).filter(any)
 
 
@@ -33,8 +36,14 @@ def models(draw) -> Model:
     rows = draw(st.lists(st.tuples(finite, finite, finite, positive), min_size=count, max_size=count))
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     colours = draw(st.lists(st.integers(0, 255), min_size=3 * count, max_size=3 * count))
-    return Model(cameras, images, np.arange(count) + draw(st.integers(1, 10**9)), table[:, :3],
-                 np.array(colours, dtype=np.uint8).reshape(-1, 3), table[:, 3])
+    return Model(
+        cameras,
+        images,
+        np.arange(count) + draw(st.integers(1, 10**9)),
+        table[:, :3],
+        np.array(colours, dtype=np.uint8).reshape(-1, 3),
+        table[:, 3],
+    )
 
 
 def assert_equal(first: Model, second: Model) -> None:
@@ -61,7 +70,7 @@ def test_text_and_binary_hold_the_same_model_exactly(tmp_path_factory, model):
 TEXT = {
     "cameras.txt": "# Camera list\n1 PINHOLE 640 480 500.5 501.5 320 240\n2 SIMPLE_PINHOLE 64 48 50 32 24\n",
     "images.txt": "# Image list\n# IMAGE_ID, ...\n7 1 0 0 0 0.1 0.2 0.3 1 b photo.png\n10.5 20.5 3 11 12 -1\n"
-                  "3 0.5 0.5 0.5 0.5 1 2 3 2 a.png\n\n",
+    "3 0.5 0.5 0.5 0.5 1 2 3 2 a.png\n\n",
     "points3D.txt": "# points\n3 1.5 2.5 3.5 10 20 30 0.25 7 0 3 1\n4 0 0 1 255 0 0 1e-3\n",
 }
 
@@ -84,27 +93,31 @@ def test_text_as_colmap_writes_it(tmp_path):
 def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 640, 480, 500, 501, 320, 240))
     (tmp_path / "images.bin").write_bytes(
-        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1) + b"a.png\0" + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1))
+        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1) + b"a.png\0" + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1)
+    )
     (tmp_path / "points3D.bin").write_bytes(struct.pack("<QQ3d3BdQii", 1, 9, 1, 2, 3, 4, 5, 6, 0.5, 1, 5, 0))
     model = read_model(tmp_path)
     assert model.images == {5: Pose("a.png", 1, (1, 0, 0, 0), (1, 2, 3))}
     np.testing.assert_array_equal(model.positions, [[1, 2, 3]])
 
 
-@pytest.mark.parametrize("changed, words", [
-    ({"cameras_txt": "1 OPENCV 640 480 500 500 320 240 .1 0 0 0\n"}, "OPENCV camera; undistort first"),
-    ({"cameras_txt": "1 WIDE_ANGLE 640 480 500\n"}, "unknown camera model WIDE_ANGLE"),
-    ({"cameras_txt": "1 PINHOLE 640 480 500 500 320\n"}, "PINHOLE with 3 parameters"),
-    ({"cameras_txt": "1 PINHOLE 640 480 -5 500 320 240\n"}, "damaged"),
-    ({"cameras_txt": "hello\n"}, "damaged"),
-    ({"images_txt": "1 1 0 0 0 0 0 0 9 a.png\n\n"}, "refers to camera 9"),
-    ({"images_txt": "1 1 0 0 0 0 0\n\n"}, "damaged"),
-    ({"images_txt": "1 0 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
-    ({"images_txt": "1 nan 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
-    ({"points3D_txt": "1 0 0\n"}, "fewer than 8 values"),
-    ({"points3D_txt": "1 0 nan 0 1 1 1 0\n"}, "NaN"),
-    ({"points3D_txt": "1 0 0 0 1 1 256 0\n"}, "colour outside"),
-])
+@pytest.mark.parametrize(
+    "changed, words",
+    [
+        ({"cameras_txt": "1 OPENCV 640 480 500 500 320 240 .1 0 0 0\n"}, "OPENCV camera; undistort first"),
+        ({"cameras_txt": "1 WIDE_ANGLE 640 480 500\n"}, "unknown camera model WIDE_ANGLE"),
+        ({"cameras_txt": "1 PINHOLE 640 480 500 500 320\n"}, "PINHOLE with 3 parameters"),
+        ({"cameras_txt": "1 PINHOLE 640 480 -5 500 320 240\n"}, "damaged"),
+        ({"cameras_txt": "hello\n"}, "damaged"),
+        ({"images_txt": "1 1 0 0 0 0 0 0 9 a.png\n\n"}, "refers to camera 9"),
+        ({"images_txt": "1 1 0 0 0 0 0\n\n"}, "damaged"),
+        ({"images_txt": "1 0 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
+        ({"images_txt": "1 nan 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
+        ({"points3D_txt": "1 0 0\n"}, "fewer than 8 values"),
+        ({"points3D_txt": "1 0 nan 0 1 1 1 0\n"}, "NaN"),
+        ({"points3D_txt": "1 0 0 0 1 1 256 0\n"}, "colour outside"),
+    ],
+)
 def test_damaged_text_is_refused_with_the_file_and_the_reason(tmp_path, changed, words):
     with pytest.raises(InputError, match=words) as refused:
         read_model(write_text(tmp_path, **changed))

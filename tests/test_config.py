@@ -8,15 +8,25 @@ from paper_artifact.errors import InputError
 from paper_artifact.train.config import RunConfig, default_config
 
 
-@pytest.mark.parametrize("changes, words", [
-    ({"steps": 0}, "steps must be at least 1"), ({"steps": -5}, "steps must be at least 1"), ({"budget": 0}, "budget must be"),
-    ({"seed": -1}, "seed must not be negative"), ({"size": 21}, "at least 22 pixels"),
-    ({"vertex_lr": 0.0}, "vertex_lr must be positive"), ({"views": 1}, "views must be at least 2"),
-    ({"mlp_lr": float("nan")}, "mlp_lr must be positive"), ({"vertex_lr": float("inf")}, "finite"),
-    ({"background": "grey"}, "white or black"), ({"dump_steps": (10, 2501)}, "dump_steps must"),
-    ({"dump_steps": 5}, "dump_steps must"),
-    ({"topology": 3}, "topology must"), ({"colour": 1}, "unknown configuration colour"),
-])
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"steps": -5}, "steps must be at least 1"),
+        ({"budget": 0}, "budget must be"),
+        ({"seed": -1}, "seed must not be negative"),
+        ({"size": 21}, "at least 22 pixels"),
+        ({"vertex_lr": 0.0}, "vertex_lr must be positive"),
+        ({"views": 1}, "views must be at least 2"),
+        ({"mlp_lr": float("nan")}, "mlp_lr must be positive"),
+        ({"vertex_lr": float("inf")}, "finite"),
+        ({"background": "grey"}, "white or black"),
+        ({"dump_steps": (10, 2501)}, "dump_steps must"),
+        ({"dump_steps": 5}, "dump_steps must"),
+        ({"topology": 3}, "topology must"),
+        ({"colour": 1}, "unknown configuration colour"),
+    ],
+)
 def test_a_configuration_out_of_range_is_refused(changes, words):
     with pytest.raises(InputError, match=words):
         default_config("sphere", **changes)

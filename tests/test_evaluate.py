@@ -15,8 +15,15 @@ from scipy.spatial.distance import cdist
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
-from paper_artifact.evaluate.evaluate import (discriminating_dimension, evaluate_samples, evaluate_soup, make_target,
-                                              soup_samples, tail, tails)
+from paper_artifact.evaluate.evaluate import (
+    discriminating_dimension,
+    evaluate_samples,
+    evaluate_soup,
+    make_target,
+    soup_samples,
+    tail,
+    tails,
+)
 from paper_artifact.evaluate.geometry import chamfer, chamfer_sum, hausdorff95
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
@@ -171,8 +178,10 @@ def test_soup_samples_follow_area_times_opacity():
 
 
 def test_tail_is_the_mean_of_the_last_three_steps():
-    dumps = [{"step": step, "bottleneck": [0, 0, step / 1000], "chamfer": 0.01, "hausdorff95": 0.02, "counts": [0, 0, 1]}
-             for step in (2500, 100, 2300, 2400)]
+    dumps = [
+        {"step": step, "bottleneck": [0, 0, step / 1000], "chamfer": 0.01, "hausdorff95": 0.02, "counts": [0, 0, 1]}
+        for step in (2500, 100, 2300, 2400)
+    ]
     assert tail(dumps, 2) == pytest.approx(2.4)
     summary = tails(dumps)
     assert summary["steps"] == [2300, 2400, 2500] and summary["bottleneck"] == pytest.approx([0, 0, 2.4])

@@ -25,16 +25,23 @@ from paper_artifact.soup.state import Soup, initial_mlp
 
 def random_triangles(count: int = 40) -> Triangles:
     draws = stream(0, "test export")
-    return Triangles(draws.normal(size=(count, 3, 3)).astype(np.float32), draws.random((count, 3, 3)).astype(np.float32),
-                     draws.random((count, 3)).astype(np.float32))
+    return Triangles(
+        draws.normal(size=(count, 3, 3)).astype(np.float32),
+        draws.random((count, 3, 3)).astype(np.float32),
+        draws.random((count, 3)).astype(np.float32),
+    )
 
 
 def random_soup(blend: float = -30.0) -> Soup:
     draws = stream(1, "test export")
     features = draws.normal(size=(25, 3, 7)).astype(np.float32)
     features[:, :, 3] = blend
-    return Soup(torch.from_numpy(draws.normal(size=(25, 3, 3)).astype(np.float32)), torch.from_numpy(features),
-                torch.from_numpy(draws.normal(size=(25, 3)).astype(np.float32)), initial_mlp(0))
+    return Soup(
+        torch.from_numpy(draws.normal(size=(25, 3, 3)).astype(np.float32)),
+        torch.from_numpy(features),
+        torch.from_numpy(draws.normal(size=(25, 3)).astype(np.float32)),
+        initial_mlp(0),
+    )
 
 
 def test_ply_reads_back(tmp_path):
@@ -54,7 +61,7 @@ def test_glb_reads_back_the_visible_triangles(tmp_path):
     shown = triangles.visible()
     assert 0 < len(shown) < len(triangles)
     scene = trimesh.load_scene(tmp_path / "soup.glb", process=False, maintain_order=True)
-    mesh, = scene.geometry.values()
+    (mesh,) = scene.geometry.values()
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], shown.vertices)
     data = (tmp_path / "soup.glb").read_bytes()
     tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])

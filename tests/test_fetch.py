@@ -36,11 +36,18 @@ ARCHIVE = _zip("deep/tri.ply", BODY)
 def table(tmp_path, monkeypatch):
     """A table with one plain mesh and one archive; no mirror beside the repository and none in the environment."""
     path = tmp_path / "meshes.csv"
-    rows = [("tri", "data/a b.obj", BODY, "", ""),
-            ("packed", "data/packed.zip", ARCHIVE, "deep/tri.ply", hashlib.sha256(BODY).hexdigest())]
-    path.write_text(HEADER + "".join(
-        f"{key},{key},some/where,abc,{file},{hashlib.sha256(data).hexdigest()},{len(data)},CC0,used,{member},{digest},\n"
-        for key, file, data, member, digest in rows) + "gone,gone,,,,,,,not obtainable,,,nowhere to be had\n")
+    rows = [
+        ("tri", "data/a b.obj", BODY, "", ""),
+        ("packed", "data/packed.zip", ARCHIVE, "deep/tri.ply", hashlib.sha256(BODY).hexdigest()),
+    ]
+    path.write_text(
+        HEADER
+        + "".join(
+            f"{key},{key},some/where,abc,{file},{hashlib.sha256(data).hexdigest()},{len(data)},CC0,used,{member},{digest},\n"
+            for key, file, data, member, digest in rows
+        )
+        + "gone,gone,,,,,,,not obtainable,,,nowhere to be had\n"
+    )
     monkeypatch.setattr(fetching, "source", lambda key: source(key, path))
     monkeypatch.setattr(fetching, "SIBLING_MIRROR", tmp_path / "no-sibling")
     monkeypatch.delenv(fetching.MIRROR_VARIABLE, raising=False)
@@ -107,15 +114,18 @@ def test_archive_is_unpacked_beside_itself(tmp_path):
     assert len(asked) == 1, "the kept archive serves the second time"
 
 
-@pytest.mark.parametrize("answer, words", [
-    ({"status": 404}, "answers 404"),
-    ({"status": 503}, "answers 503"),
-    ({"body": BODY[:1000], "announced": len(BODY)}, "ended after 1000 of|broke off"),
-    ({"body": BODY[:1000]}, "ended after 1000 of"),
-    ({"body": b"x" * len(BODY)}, "is not the pinned file"),
-    ({"body": BODY + b"more"}, "a longer file found"),
-    ({"body": b""}, "ended after 0 of"),
-])
+@pytest.mark.parametrize(
+    "answer, words",
+    [
+        ({"status": 404}, "answers 404"),
+        ({"status": 503}, "answers 503"),
+        ({"body": BODY[:1000], "announced": len(BODY)}, "ended after 1000 of|broke off"),
+        ({"body": BODY[:1000]}, "ended after 1000 of"),
+        ({"body": b"x" * len(BODY)}, "is not the pinned file"),
+        ({"body": BODY + b"more"}, "a longer file found"),
+        ({"body": b""}, "ended after 0 of"),
+    ],
+)
 def test_bad_answer_is_one_sentence_and_leaves_nothing(tmp_path, answer, words):
     out = tmp_path / "out"
     with server(**answer) as (url, _), pytest.raises(InputError, match=words) as caught:
@@ -178,8 +188,9 @@ def test_sibling_without_the_file_falls_through_to_the_network(tmp_path, monkeyp
         assert fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True).origin.startswith(url)
 
 
-@pytest.mark.parametrize("data, words", [(None, "has no readable"),
-                                         (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")])
+@pytest.mark.parametrize(
+    "data, words", [(None, "has no readable"), (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")]
+)
 def test_bad_mirror_file(tmp_path, data, words):
     folder = tmp_path / "mirror"
     folder.mkdir() if data is None else mirror_with(folder, data)
@@ -203,8 +214,22 @@ def test_folder_that_cannot_be_written(tmp_path):
 
 def test_table_is_complete_and_pinned():
     table = sources(TABLE)
-    assert {"spot", "bob", "rocker-arm", "fandisk", "horse", "armadillo", "eight", "cheburashka", "eight-dense",
-            "cow", "ogre", "teapot", "beast", "max-planck"} <= set(table)
+    assert {
+        "spot",
+        "bob",
+        "rocker-arm",
+        "fandisk",
+        "horse",
+        "armadillo",
+        "eight",
+        "cheburashka",
+        "eight-dense",
+        "cow",
+        "ogre",
+        "teapot",
+        "beast",
+        "max-planck",
+    } <= set(table)
     for entry in table.values():
         assert entry.role in ROLES and entry.key.replace("-", "").isalnum()
         if entry.obtainable:
@@ -214,9 +239,14 @@ def test_table_is_complete_and_pinned():
     assert len(set(targets)) == len(targets)
 
 
-@pytest.mark.parametrize("text, words", [("key,name\nspot,spot\n", "damaged"),
-                                         (HEADER + "a,a,b/c,d,e,f,many,CC0,used,,,\n", "damaged"),
-                                         (HEADER + "a,a,b/c,d,e,f,1,CC0,spare,,,\n", "unknown role")])
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("key,name\nspot,spot\n", "damaged"),
+        (HEADER + "a,a,b/c,d,e,f,many,CC0,used,,,\n", "damaged"),
+        (HEADER + "a,a,b/c,d,e,f,1,CC0,spare,,,\n", "unknown role"),
+    ],
+)
 def test_damaged_table(tmp_path, text, words):
     (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(InputError, match=words):

@@ -54,8 +54,17 @@ class Case:
         """Return the loss and the nine gradients."""
         vertices, features, opacity, *weights = (tensor.detach().numpy() for tensor in self.leaves())
         mean, square = functions.target_statistics(self.target)
-        loss, gradients = step(vertices, features, opacity, tuple(weights), self.matrices, functions.camera_rays(self.matrices),
-                               list(self.target.numpy()), list(zip(mean, square)), self.keys)
+        loss, gradients = step(
+            vertices,
+            features,
+            opacity,
+            tuple(weights),
+            self.matrices,
+            functions.camera_rays(self.matrices),
+            list(self.target.numpy()),
+            list(zip(mean, square)),
+            self.keys,
+        )
         return loss, [gradients.vertices, gradients.features, gradients.opacity, *gradients.mlp]
 
 

@@ -42,7 +42,10 @@ def test_table_2_ours_beside_the_papers(study):
     assert table.loc["spot", ("C0", "ours")] == ".0550 [1]" and table.loc["spot", ("verdict", "ours")] == "incomplete"
     # the mean of C0 / C1: 401/201, 81/81, 301/101
     assert table.loc["loop group", ("C1", "ours")] == "1.99× ± 0.99, 2 of 3 pass"
-    assert table.loc["loop group", ("C1", "paper")] == "1.52× ± 0.55" and table.loc["void group", ("C1", "ours")] == "not all recorded"
+    assert (
+        table.loc["loop group", ("C1", "paper")] == "1.52× ± 0.55"
+        and table.loc["void group", ("C1", "ours")] == "not all recorded"
+    )
 
 
 def test_verdicts_stand_beside_those_of_the_papers_tails(study):
@@ -70,13 +73,20 @@ def test_the_gallery_says_what_is_not_kept():
 
 @pytest.fixture(scope="module")
 def committed():
-    return {(each["config"]["shape"], each["config"]["condition"]): each for each in find_records(RESULTS / "runs")
-            if each["config"]["seed"] == 0}
+    return {
+        (each["config"]["shape"], each["config"]["condition"]): each
+        for each in find_records(RESULTS / "runs")
+        if each["config"]["seed"] == 0
+    }
 
 
 def test_the_gallerys_soups_are_committed(committed):
-    absent = [(shape, arm) for shape in gallery.SHAPES for arm in gallery.ARMS
-              if (shape, arm) not in committed or not soup_path(committed[shape, arm]).is_file()]
+    absent = [
+        (shape, arm)
+        for shape in gallery.SHAPES
+        for arm in gallery.ARMS
+        if (shape, arm) not in committed or not soup_path(committed[shape, arm]).is_file()
+    ]
     assert absent == []
 
 

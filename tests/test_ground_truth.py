@@ -28,8 +28,12 @@ def coarse_shape(name: str) -> Mesh:
 def cast(mesh: Mesh, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Nearest hit of the ray through every pixel centre: world positions (H,W,3), NaN where missed, and depths (H,W)."""
     column, row = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([(column - camera.centre_x) / camera.focal_x, (row - camera.centre_y) / camera.focal_y,
-                     np.ones_like(row)], axis=-1).reshape(-1, 3) @ camera.rotation
+    rays = (
+        np.stack(
+            [(column - camera.centre_x) / camera.focal_x, (row - camera.centre_y) / camera.focal_y, np.ones_like(row)], axis=-1
+        ).reshape(-1, 3)
+        @ camera.rotation
+    )
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     hits, ray, _ = surface.ray.intersects_location(np.tile(camera.position, (len(rays), 1)), rays, multiple_hits=True)
     depth = (hits - camera.position) @ camera.rotation[2]
@@ -73,9 +77,12 @@ def test_the_image_shows_the_texture_inside_and_the_background_outside():
         assert image.shape == (SIZE, SIZE, 3) and image.dtype == np.float32
         hit = np.isfinite(depths)
         padded = np.pad(hit, 1, mode="edge")
-        neighbours = np.stack([padded[1 + dy:SIZE + 1 + dy, 1 + dx:SIZE + 1 + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-        np.testing.assert_allclose(image[~neighbours.any(axis=0)], np.broadcast_to(background, (1, 3)).repeat(
-            int((~neighbours.any(axis=0)).sum()), axis=0), atol=1e-6)
+        neighbours = np.stack([padded[1 + dy : SIZE + 1 + dy, 1 + dx : SIZE + 1 + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+        np.testing.assert_allclose(
+            image[~neighbours.any(axis=0)],
+            np.broadcast_to(background, (1, 3)).repeat(int((~neighbours.any(axis=0)).sum()), axis=0),
+            atol=1e-6,
+        )
         inside = neighbours.all(axis=0)
         assert np.abs(image[inside] - mesh_texture(positions[inside], mesh)).mean() < 0.01
 

@@ -25,8 +25,9 @@ def naive_ssim(x: np.ndarray, y: np.ndarray) -> float:
                 mean_p, mean_q = (weights * p).sum(), (weights * q).sum()
                 var_p, var_q = (weights * (p - mean_p) ** 2).sum(), (weights * (q - mean_q) ** 2).sum()
                 cov = (weights * (p - mean_p) * (q - mean_q)).sum()
-                values.append((2 * mean_p * mean_q + 1e-4) * (2 * cov + 9e-4)
-                              / ((mean_p**2 + mean_q**2 + 1e-4) * (var_p + var_q + 9e-4)))
+                values.append(
+                    (2 * mean_p * mean_q + 1e-4) * (2 * cov + 9e-4) / ((mean_p**2 + mean_q**2 + 1e-4) * (var_p + var_q + 9e-4))
+                )
     return sum(values) / len(values)
 
 

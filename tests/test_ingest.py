@@ -40,7 +40,9 @@ def test_distances_are_exact_in_the_band():
     grid = distance_grid(vertices, faces, 0.15, 0.6)
     index = np.argwhere(np.ones_like(grid.values))
     index = index[rng.choice(len(index), 4000, replace=False)]
-    _, distances, _ = trimesh.proximity.closest_point(trimesh.Trimesh(vertices, faces, process=False), grid.origin + grid.cell * index)
+    _, distances, _ = trimesh.proximity.closest_point(
+        trimesh.Trimesh(vertices, faces, process=False), grid.origin + grid.cell * index
+    )
     np.testing.assert_allclose(grid.values[tuple(index.T)], np.minimum(distances, 0.6), atol=2e-7)
 
 
@@ -64,18 +66,33 @@ def test_a_sphere_grows_by_the_offset():
     assert solid.certificate.components[0].volume > 0, "wound outwards"
 
 
-@pytest.mark.parametrize("name, surface, betti, pockets", [
-    ("open plate with two holes", (shapes.plate(2)[0], shapes.plate(2)[1][::2]), None, None),
-    ("plate with two holes", shapes.plate(2), (1, 4, 1), 1),
-    ("two balls", shapes.joined(shapes.ball(), shapes.ball(centre=(4, 0, 0))), (2, 0, 2), 2),
-    ("balls that meet", shapes.joined(shapes.ball(), shapes.ball(centre=(1, 0, 0))), (1, 0, 1), 3),
-    ("nested balls", shapes.joined(shapes.ball(), shapes.ball(0.5, inwards=True)), (1, 0, 1), 2),
-    ("bowl", shapes.bowl(), (1, 0, 1), 0),
-    ("Möbius strip", (np.array([[np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
-                                for a in np.linspace(0, 2 * np.pi, 40, endpoint=False) for s in (-0.3, -0.1, 0.1, 0.3)]),
-                      shapes.band(40, twist=True)[1]), (1, 2, 1), 0),
-    ("one triangle", (np.eye(3), np.array([[0, 1, 2]])), (1, 0, 1), 0),
-])
+@pytest.mark.parametrize(
+    "name, surface, betti, pockets",
+    [
+        ("open plate with two holes", (shapes.plate(2)[0], shapes.plate(2)[1][::2]), None, None),
+        ("plate with two holes", shapes.plate(2), (1, 4, 1), 1),
+        ("two balls", shapes.joined(shapes.ball(), shapes.ball(centre=(4, 0, 0))), (2, 0, 2), 2),
+        ("balls that meet", shapes.joined(shapes.ball(), shapes.ball(centre=(1, 0, 0))), (1, 0, 1), 3),
+        ("nested balls", shapes.joined(shapes.ball(), shapes.ball(0.5, inwards=True)), (1, 0, 1), 2),
+        ("bowl", shapes.bowl(), (1, 0, 1), 0),
+        (
+            "Möbius strip",
+            (
+                np.array(
+                    [
+                        [np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
+                        for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)
+                        for s in (-0.3, -0.1, 0.1, 0.3)
+                    ]
+                ),
+                shapes.band(40, twist=True)[1],
+            ),
+            (1, 2, 1),
+            0,
+        ),
+        ("one triangle", (np.eye(3), np.array([[0, 1, 2]])), (1, 0, 1), 0),
+    ],
+)
 def test_shells_of_known_topology(name, surface, betti, pockets):
     solid = solidify(raw(*surface, name), offset=0.02)
     assert solid.certificate.passed, solid.certificate.reasons
@@ -131,10 +148,16 @@ def test_a_shell_that_fails_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (dict(offset=0.0), "offset must be"), (dict(offset=0.9), "offset must be"), (dict(offset=np.nan), "offset must be"),
-    (dict(cells=0.5), "at least one grid cell"), (dict(offset=1e-4), "take a larger offset"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (dict(offset=0.0), "offset must be"),
+        (dict(offset=0.9), "offset must be"),
+        (dict(offset=np.nan), "offset must be"),
+        (dict(cells=0.5), "at least one grid cell"),
+        (dict(offset=1e-4), "take a larger offset"),
+    ],
+)
 def test_bad_sizes_are_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         solidify(raw(*shapes.ball()), **arguments)

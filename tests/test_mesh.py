@@ -35,8 +35,10 @@ def test_every_common_format_gives_the_same_closed_surface(tmp_path, kind):
 
 def test_texture_seams_do_not_open_the_surface(tmp_path):
     path = tmp_path / "seam.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\n"
-                    "f 1/1 3/2 2/3\nf 1/2 2/4 4/1\nf 1/3 4/1 3/4\nf 2/1 3/2 4/4\n")
+    path.write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\n"
+        "f 1/1 3/2 2/3\nf 1/2 2/4 4/1\nf 1/3 4/1 3/4\nf 2/1 3/2 4/4\n"
+    )
     mesh = load_mesh(path)
     assert (len(mesh.vertices), len(mesh.faces), open_edges(mesh.faces)) == (4, 4, 0)
 
@@ -52,7 +54,8 @@ def test_polygons_are_cut_by_the_fan(tmp_path):
     path.write_text("v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 1 0\nv -1 0 0\nf 1 2 3 4 5\nf 1 5 6\n")
     mesh = load_mesh(path)
     assert {frozenset(face) for face in mesh.faces.tolist()} == {
-        frozenset(face) for face in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))}
+        frozenset(face) for face in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
+    }
 
 
 def test_the_parts_of_a_scene_file_are_placed_and_concatenated(tmp_path):
@@ -79,33 +82,38 @@ def test_face_areas_against_trimesh():
     np.testing.assert_allclose(face_areas(ball.vertices, ball.faces), ball.area_faces, rtol=1e-12)
 
 
-PLY = ("ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
-       "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n")
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n"
+)
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
-@pytest.mark.parametrize("name, content, words", [
-    ("empty.obj", b"", "is empty"),
-    ("points.obj", TRIANGLE.encode(), "no triangles"),
-    ("text.obj", b"these words are no mesh\n" * 9, "no triangles"),
-    ("noise.obj", bytes(range(256)) * 40, "noise.obj"),
-    ("noise.ply", bytes(range(256)) * 40, "damaged or no PLY mesh"),
-    ("noise.stl", bytes(range(256)) * 40, "no triangles"),
-    ("noise.off", bytes(range(256)) * 40, "noise.off"),
-    ("noise.glb", bytes(range(256)) * 40, "damaged or no GLB mesh"),
-    ("half.obj", (TRIANGLE + "f 1 2 3\nf 1 2").encode(), "cut off"),
-    ("half.off", b"OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "cut off"),
-    ("beyond.obj", (TRIANGLE + "f 1 2 7\n").encode(), "beyond.obj"),
-    ("beyond.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "outside the range"),
-    ("beyond.ply", PLY.encode(), "vertex 9 of 3"),
-    ("nan.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", "1 vertices with NaN"),
-    ("infinite.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "infinite.obj"),
-    ("flat.obj", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nv 3 3 3\nf 1 2 3\nf 2 3 4\n", "zero area"),
-    ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "zero area"),
-    ("huge.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1e200 0\nf 1 2 3\n", "too large"),
-    ("picture.png", b"\x89PNG", "no mesh format"),
-    ("no_extension", TRIANGLE.encode(), "no mesh format"),
-])
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("empty.obj", b"", "is empty"),
+        ("points.obj", TRIANGLE.encode(), "no triangles"),
+        ("text.obj", b"these words are no mesh\n" * 9, "no triangles"),
+        ("noise.obj", bytes(range(256)) * 40, "noise.obj"),
+        ("noise.ply", bytes(range(256)) * 40, "damaged or no PLY mesh"),
+        ("noise.stl", bytes(range(256)) * 40, "no triangles"),
+        ("noise.off", bytes(range(256)) * 40, "noise.off"),
+        ("noise.glb", bytes(range(256)) * 40, "damaged or no GLB mesh"),
+        ("half.obj", (TRIANGLE + "f 1 2 3\nf 1 2").encode(), "cut off"),
+        ("half.off", b"OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "cut off"),
+        ("beyond.obj", (TRIANGLE + "f 1 2 7\n").encode(), "beyond.obj"),
+        ("beyond.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "outside the range"),
+        ("beyond.ply", PLY.encode(), "vertex 9 of 3"),
+        ("nan.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", "1 vertices with NaN"),
+        ("infinite.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "infinite.obj"),
+        ("flat.obj", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nv 3 3 3\nf 1 2 3\nf 2 3 4\n", "zero area"),
+        ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "zero area"),
+        ("huge.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1e200 0\nf 1 2 3\n", "too large"),
+        ("picture.png", b"\x89PNG", "no mesh format"),
+        ("no_extension", TRIANGLE.encode(), "no mesh format"),
+    ],
+)
 def test_bad_files_are_refused_in_one_sentence(tmp_path, capfd, name, content, words):
     path = tmp_path / name
     path.write_bytes(content)

@@ -74,9 +74,13 @@ def test_figures_have_their_numbers_beside_them(notebook):
     for cell in code_cells(notebook):
         if not any("image/png" in output.get("data", {}) for output in cell.outputs):
             continue
-        compared = [output for output in cell.outputs
-                    if output.get("text") or "text/html" in output.get("data", {})
-                    or not output.get("data", {}).get("text/plain", "<Figure").startswith("<Figure")]
+        compared = [
+            output
+            for output in cell.outputs
+            if output.get("text")
+            or "text/html" in output.get("data", {})
+            or not output.get("data", {}).get("text/plain", "<Figure").startswith("<Figure")
+        ]
         assert compared, cell.source
 
 

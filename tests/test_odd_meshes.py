@@ -1,5 +1,5 @@
-"""Bad and odd meshes through certify, audit, ingest and scene: a result, or one clear sentence and exit code 1; never a trace, never a
-part of a file."""
+"""Bad and odd meshes through certify, audit, ingest and scene: a result, or one clear sentence and exit code 1; never a trace,
+never a part of a file."""
 
 from __future__ import annotations
 
@@ -20,12 +20,31 @@ def arguments(verb: str, mesh: Path, out: Path) -> list[str]:
         "certify": ["certify", str(mesh), "--json", str(out / "certificate.json")],
         "audit": ["audit", str(mesh), "--out", str(out), "--densities", "64", "--working", "128", "--quiet"],
         "ingest": ["ingest", str(mesh), "--out", str(out / "shell.ply"), "--offset", "0.04", "--cells", "1.5", "--quiet"],
-        "scene": ["scene", "--mesh", str(mesh), "--out", str(out / "scene"), "--views", "2", "--size", "32", "--points", "32", "--supersample", "1",
-                  "--quiet"],
+        "scene": [
+            "scene",
+            "--mesh",
+            str(mesh),
+            "--out",
+            str(out / "scene"),
+            "--views",
+            "2",
+            "--size",
+            "32",
+            "--points",
+            "32",
+            "--supersample",
+            "1",
+            "--quiet",
+        ],
     }[verb]
 
 
-EXPECTED = {"certify": ["certificate.json"], "audit": ["audit.html", "audit.json"], "ingest": ["shell.ply"], "scene": ["scene/scene.json"]}
+EXPECTED = {
+    "certify": ["certificate.json"],
+    "audit": ["audit.html", "audit.json"],
+    "ingest": ["shell.ply"],
+    "scene": ["scene/scene.json"],
+}
 
 
 @pytest.fixture(autouse=True)

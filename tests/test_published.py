@@ -49,8 +49,10 @@ def test_bowls_per_seed_values_have_the_printed_mean_and_sd():
 def test_group_means_follow_from_table_2():
     groups = {"loop group": ("bob", "rocker-arm", "eight"), "void group": ("spot", "fandisk", "pot", "armadillo", "horse")}
     for group, shapes in groups.items():
-        ratios = [published_value("2", shape=shape, condition="C0")[0] / published_value("2", shape=shape, condition="C1")[0]
-                  for shape in shapes]
+        ratios = [
+            published_value("2", shape=shape, condition="C0")[0] / published_value("2", shape=shape, condition="C1")[0]
+            for shape in shapes
+        ]
         mean, sd = published_value("2", shape=group, condition="C1", quantity="ratio_C0_over_C1")
         assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(sd, abs=0.03)
 

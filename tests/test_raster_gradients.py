@@ -50,8 +50,13 @@ def weights_of(tensors: dict[str, torch.Tensor]) -> tuple[torch.Tensor, ...]:
 
 def shade_both(case: Case) -> tuple[torch.Tensor, torch.Tensor]:
     fast = functions.shade(case.single["features"], weights_of(case.single), case.fast, np.array(BACKGROUND, np.float32))
-    reference = twin.shade(case.double["features"], weights_of(case.double), case.reference, case.double["matrices"],
-                           torch.tensor(BACKGROUND, dtype=torch.float64))
+    reference = twin.shade(
+        case.double["features"],
+        weights_of(case.double),
+        case.reference,
+        case.double["matrices"],
+        torch.tensor(BACKGROUND, dtype=torch.float64),
+    )
     return fast, reference
 
 

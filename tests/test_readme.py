@@ -29,8 +29,9 @@ def commands() -> list[str]:
 def test_the_program_runs(tmp_path):
     assert blocks("python")
     for program in blocks("python"):
-        result = subprocess.run([sys.executable, "-W", "error", "-c", program], cwd=REPOSITORY, capture_output=True, text=True,
-                                timeout=300)
+        result = subprocess.run(
+            [sys.executable, "-W", "error", "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=300
+        )
         assert result.returncode == 0, result.stderr
         assert "longest loop: 0." in result.stdout and "gradient: torch.Size([512, 3])" in result.stdout
 

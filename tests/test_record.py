@@ -66,8 +66,13 @@ def test_find_records_by_config(tmp_path):
 def refresh(step: int) -> dict:
     live = [0.013 + step / 1e6, 0.155 - step / 1e6]
     targets = [{"kind": kind, "live": live, "target": [0.0130424, 0.1559181]} for kind in ("matched", "recruited", "recruited")]
-    return {"event": "refresh", "step": step, "floor": 0.0606, "live_floor": 0.06 + step / 1e5,
-            "dimensions": {"1": {"matched": 1, "recruited": 2, "targets": targets[: 3 if step % 30 else 2]}}}
+    return {
+        "event": "refresh",
+        "step": step,
+        "floor": 0.0606,
+        "live_floor": 0.06 + step / 1e5,
+        "dimensions": {"1": {"matched": 1, "recruited": 2, "targets": targets[: 3 if step % 30 else 2]}},
+    }
 
 
 def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
@@ -81,8 +86,13 @@ def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers(-3, 3) | st.sampled_from([0.5, 1.0, -0.0]) | st.sampled_from("ab"),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.sampled_from("xyz"), inner, max_size=3)
-    | st.lists(st.fixed_dictionaries({"x": inner}, optional={"y": inner}), min_size=2, max_size=5), max_leaves=25)
+    lambda inner: (
+        st.lists(inner, max_size=5)
+        | st.dictionaries(st.sampled_from("xyz"), inner, max_size=3)
+        | st.lists(st.fixed_dictionaries({"x": inner}, optional={"y": inner}), min_size=2, max_size=5)
+    ),
+    max_leaves=25,
+)
 
 
 @settings(max_examples=300, deadline=None)
@@ -98,15 +108,18 @@ def changed(path, change) -> None:
     path.write_text(json.dumps(record))
 
 
-@pytest.mark.parametrize("change, reason", [
-    (lambda record: record["config"].update(seed=4), "config does not match"),
-    (lambda record: record["tails"].update(bottleneck=[0, 0, 0]), "digest mismatch"),
-    (lambda record: record.update(dumps=[]), "digest mismatch"),
-    (lambda record: record.update(dumps={"#table": {"a": [1], "b": [1, 2]}}), "damaged in its tables"),
-    (lambda record: record.pop("dumps"), "lacks dumps"),
-    (lambda record: record.update(version=99), "version 99"),
-    (lambda record: record.update(schema="other"), "no run record"),
-])
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        (lambda record: record["config"].update(seed=4), "config does not match"),
+        (lambda record: record["tails"].update(bottleneck=[0, 0, 0]), "digest mismatch"),
+        (lambda record: record.update(dumps=[]), "digest mismatch"),
+        (lambda record: record.update(dumps={"#table": {"a": [1], "b": [1, 2]}}), "damaged in its tables"),
+        (lambda record: record.pop("dumps"), "lacks dumps"),
+        (lambda record: record.update(version=99), "version 99"),
+        (lambda record: record.update(schema="other"), "no run record"),
+    ],
+)
 def test_changed_records_are_refused(tmp_path, change, reason):
     path = write_record(example(), tmp_path)
     changed(path, change)
@@ -129,7 +142,7 @@ def test_half_foreign_misnamed_and_missing_files_are_refused(tmp_path):
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     with pytest.raises(InputError, match="damaged"):
         read_record(path)
-    path.write_text('[1, 2]')
+    path.write_text("[1, 2]")
     with pytest.raises(InputError, match="no run record"):
         read_record(path)
     path.write_text(text.replace('"train":12.346', '"train":NaN'))

@@ -46,7 +46,10 @@ def test_the_quoted_bars_are_found(stored):
     assert [group_wave.rank_of(note) for note in notes] == [4, 2, 1, 3, 1]
     table = group_wave.quoted_table(stored)
     assert len(table) == 20 and list(table.index[table["paper in range"] == "no"].get_level_values("shape")) == [
-        "rocker-arm", "eight", "cheburashka"]
+        "rocker-arm",
+        "eight",
+        "cheburashka",
+    ]
     assert table.loc[("eight", 8192, "margin, loop 4"), "paper"] == "1.69"
     own = stored[(stored["shape"] == "horse") & (stored["samples"] == 20_000)]["h2_1"]
     assert float(table.loc[("horse", 20_000, "lifetime, void 1"), "median"]) == pytest.approx(np.median(own), abs=5.1e-5)
@@ -62,8 +65,11 @@ def test_pins_are_half_lifetimes_and_near_the_paper_s(stored):
 
 def test_seed_dependence_names_the_bar_at_the_floor():
     lengths = {f"h{d}_{rank}": 0.0 for d in range(3) for rank in range(1, 5)}
-    lines = [{"shape": "x", "samples": samples, "seed": seed, "floor": 1.0, **lengths, "h1_1": 3.0, "h2_1": height}
-             for samples, heights in ((100, (0.9, 1.2, 1.1)), (200, (2.0, 2.0, 2.0))) for seed, height in enumerate(heights)]
+    lines = [
+        {"shape": "x", "samples": samples, "seed": seed, "floor": 1.0, **lengths, "h1_1": 3.0, "h2_1": height}
+        for samples, heights in ((100, (0.9, 1.2, 1.1)), (200, (2.0, 2.0, 2.0)))
+        for seed, height in enumerate(heights)
+    ]
     table = group_wave.seed_dependence(pd.DataFrame(lines))
     assert list(table.index) == [("x", 100)]
     row = table.loc[("x", 100)]
@@ -85,8 +91,10 @@ def test_polygons_are_counted_before_any_split(tmp_path):
 def test_dispositions_as_tables(monkeypatch, tmp_path):
     sphere = make_shape("sphere")
     inward = certify(sphere.vertices, sphere.faces[:, ::-1], "horse")
-    rows = [Disposition("horse", "pass (g0)", "void group", "pass (g0)", True, inward),
-            Disposition("max-planck", "fail: 161 open edges", "-", "not obtainable", None, None)]
+    rows = [
+        Disposition("horse", "pass (g0)", "void group", "pass (g0)", True, inward),
+        Disposition("max-planck", "fail: 161 open edges", "-", "not obtainable", None, None),
+    ]
     monkeypatch.setattr(group_wave, "mesh_path", lambda key: tmp_path / f"{key}.ply")
     table = group_wave.disposition_table(rows)
     assert table.loc["horse", "agrees"] == "yes" and table.loc["max-planck", "agrees"] == "—"

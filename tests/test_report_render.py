@@ -43,8 +43,13 @@ def test_the_inside_has_its_own_colour():
 
 def test_the_nearer_triangle_hides_the_farther_and_keeps_its_own_material():
     both = np.concatenate([SQUARE, SQUARE * 0.3 - [0, 0.5, 0]])
-    image = render_flat(both, np.concatenate([FACES, FACES + 4]), 64, direction=(0, -1, 0),
-                        material=np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2, axis=0))
+    image = render_flat(
+        both,
+        np.concatenate([FACES, FACES + 4]),
+        64,
+        direction=(0, -1, 0),
+        material=np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2, axis=0),
+    )
     assert image[32, 32, 0] == 0 and image[32, 32, 1] > 0.3, "the small green square is in front"
     assert image[6, 6, 1] == 0 and image[6, 6, 0] > 0.3
 
@@ -65,10 +70,18 @@ def test_the_upper_end_is_up_and_the_right_end_right():
     assert rows.max() < 15 and columns.min() > 45
 
 
-@pytest.mark.parametrize("change", [
-    {"faces": np.zeros((0, 3), int)}, {"vertices": np.zeros((4, 2))}, {"vertices": SQUARE * np.nan}, {"direction": (0, 0, 0)},
-    {"direction": (0, 0, 1)}, {"up": (0, 0, 0)}, {"size": 0},
-])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"faces": np.zeros((0, 3), int)},
+        {"vertices": np.zeros((4, 2))},
+        {"vertices": SQUARE * np.nan},
+        {"direction": (0, 0, 0)},
+        {"direction": (0, 0, 1)},
+        {"up": (0, 0, 0)},
+        {"size": 0},
+    ],
+)
 def test_what_cannot_be_drawn_is_said(change):
     with pytest.raises(InputError):
         render_flat(**({"vertices": SQUARE, "faces": FACES, "size": 8} | change))

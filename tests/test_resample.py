@@ -34,8 +34,14 @@ def views(count: int = 5) -> np.ndarray:
 def independent_counts(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
     """Visible pixels per triangle, summed over the views, from the float64 twin."""
     with torch.no_grad():
-        raster = twin.rasterize(soup.vertices.double(), torch.sigmoid(soup.opacity.double()),
-                                torch.from_numpy(world_to_clip).double(), height, width, None)
+        raster = twin.rasterize(
+            soup.vertices.double(),
+            torch.sigmoid(soup.opacity.double()),
+            torch.from_numpy(world_to_clip).double(),
+            height,
+            width,
+            None,
+        )
     return np.bincount(raster.triangle.numpy().ravel(), minlength=len(soup) + 1)[1:]
 
 
@@ -72,7 +78,7 @@ def test_pruning_keeps_the_most_visible_in_their_order():
 
     counts = independent_counts(soup, world_to_clip, HEIGHT // 2, HEIGHT // 2)
     order = sorted(range(len(soup)), key=lambda t: (counts[t], t))  # the least visible first, ties by index
-    wanted = sorted(order[len(soup) - budget:])
+    wanted = sorted(order[len(soup) - budget :])
     assert counts[wanted].min() >= max(counts[t] for t in range(len(soup)) if t not in wanted)
     for before, after in ((soup.vertices, kept.vertices), (soup.features, kept.features), (soup.opacity, kept.opacity)):
         assert torch.equal(after, before[wanted])
@@ -150,8 +156,9 @@ def test_the_split_point_is_the_midpoint_in_the_image_not_in_space():
 
 def test_an_edge_with_an_end_outside_the_clip_cube_is_left_alone():
     matrix = look_at((0.0, 0.0, -4.0))
-    outside = np.array([[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
-                        [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]])
+    outside = np.array(
+        [[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]], [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]]
+    )
     children, origins = split(outside, np.ones(2, bool), matrix)
     assert np.array_equal(children, outside) and origins.tolist() == [0, 1]
 
@@ -219,13 +226,16 @@ def test_split_weight_chooses_among_the_visible():
     def only_the_first_half(corners, visible):
         return visible & (np.arange(len(visible)) < 30)
 
-    some, every = (len(replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0])
-                   for weight in (only_the_first_half, all_visible))
+    some, every = (
+        len(replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0])
+        for weight in (only_the_first_half, all_visible)
+    )
     assert 60 < some < every
 
 
-@pytest.mark.parametrize("weight", [lambda corners, counts: counts[:10],
-                                    lambda corners, counts: np.where(counts > 0, np.nan, 1.0)])
+@pytest.mark.parametrize(
+    "weight", [lambda corners, counts: counts[:10], lambda corners, counts: np.where(counts > 0, np.nan, 1.0)]
+)
 def test_a_prune_weight_that_is_not_one_number_per_triangle_is_refused(weight):
     with pytest.raises(RuntimeError, match="prune_weight must give one number per triangle"):
         Resampler(20, prune_weight=weight).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)

@@ -53,8 +53,12 @@ def test_equal_streams_give_equal_points_and_other_streams_others():
 
 def test_nothing_to_draw_from_is_an_error():
     mesh = make_shape("cube")
-    for faces, weights in ((mesh.faces[:0], None), (mesh.faces, np.zeros(12)), (mesh.faces, np.full(12, np.nan)),
-                           (mesh.faces[:2], np.array([1.0, -0.5]))):
+    for faces, weights in (
+        (mesh.faces[:0], None),
+        (mesh.faces, np.zeros(12)),
+        (mesh.faces, np.full(12, np.nan)),
+        (mesh.faces[:2], np.array([1.0, -0.5])),
+    ):
         with pytest.raises(InputError, match="area × weight"):
             sample_surface(mesh.vertices, faces, 10, stream(0, "test"), weights=weights)
     with pytest.raises(InputError, match="negative"):

@@ -112,9 +112,20 @@ def test_folders_by_content_differ_with_mesh_and_configuration(tmp_path):
     assert len(folders) == 4 and {folder.parent for folder in folders} == {tmp_path}
 
 
-@pytest.mark.parametrize("field, value", [("views", -1), ("views", 1), ("views", 4.5), ("size", 0), ("supersample", 0),
-                                          ("points", 3), ("seed", -1),
-                                          ("texture_frequency", 0.0), ("background", "pink")])
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("views", -1),
+        ("views", 1),
+        ("views", 4.5),
+        ("size", 0),
+        ("supersample", 0),
+        ("points", 3),
+        ("seed", -1),
+        ("texture_frequency", 0.0),
+        ("background", "pink"),
+    ],
+)
 def test_bad_configurations_are_refused(field, value):
     with pytest.raises(InputError, match=field):
         SceneConfig(**{field: value})
@@ -163,17 +174,20 @@ def deepen_one(folder):
     Image.fromarray(np.zeros((24, 24), np.uint16)).save(folder / "images" / "view_004.png")
 
 
-@pytest.mark.parametrize("damage, words", [
-    (lambda folder: (folder / "images" / "view_004.png").unlink(), "no image at .*view_004.png"),
-    (lambda folder: (folder / "images" / "view_004.png").write_text("no picture"), "view_004.png is damaged or no image"),
-    (cut_one, "view_004.png is damaged or no image"),
-    (shrink_one, "mixes images of 12×12 and 24×24"),
-    (widen_one, "60×24 pixels, another aspect"),
-    (deepen_one, "convert it to 8-bit RGB"),
-    (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),
-    (lambda folder: (folder / "scene.json").write_text("{"), "scene.json is damaged"),
-    (lambda folder: (folder / "scene.json").write_text('{"background": [1, 1, 9], "radius": 1}'), "out of range"),
-])
+@pytest.mark.parametrize(
+    "damage, words",
+    [
+        (lambda folder: (folder / "images" / "view_004.png").unlink(), "no image at .*view_004.png"),
+        (lambda folder: (folder / "images" / "view_004.png").write_text("no picture"), "view_004.png is damaged or no image"),
+        (cut_one, "view_004.png is damaged or no image"),
+        (shrink_one, "mixes images of 12×12 and 24×24"),
+        (widen_one, "60×24 pixels, another aspect"),
+        (deepen_one, "convert it to 8-bit RGB"),
+        (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),
+        (lambda folder: (folder / "scene.json").write_text("{"), "scene.json is damaged"),
+        (lambda folder: (folder / "scene.json").write_text('{"background": [1, 1, 9], "radius": 1}'), "out of range"),
+    ],
+)
 def test_damaged_scenes_are_refused(damaged, damage, words):
     damage(damaged)
     with pytest.raises(InputError, match=words):

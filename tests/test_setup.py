@@ -54,7 +54,10 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["version"] == paper_artifact.__version__
     assert [author["family-names"] for author in citation["preferred-citation"]["authors"]] == [
-        "Chongpermwattanapol", "Damnernyut", "Kanongchaiyos"]
+        "Chongpermwattanapol",
+        "Damnernyut",
+        "Kanongchaiyos",
+    ]
 
 
 class Setup:
@@ -80,8 +83,14 @@ class Setup:
     def run(self, *arguments: str, script: str = "test.sh", **variables: str) -> subprocess.CompletedProcess[str]:
         self.log.write_text("")
         environment = {"PATH": str(self.bin), "HOME": str(self.root), "STUB_LOG": str(self.log), "STUB_SOURCE": str(self.source)}
-        return subprocess.run([str(self.bin / "bash"), str(self.root / script), *arguments], cwd=self.bin, timeout=60,
-                              env={**environment, **variables}, capture_output=True, text=True)
+        return subprocess.run(
+            [str(self.bin / "bash"), str(self.root / script), *arguments],
+            cwd=self.bin,
+            timeout=60,
+            env={**environment, **variables},
+            capture_output=True,
+            text=True,
+        )
 
     def calls(self) -> list[str]:
         return self.log.read_text().splitlines()
@@ -117,10 +126,13 @@ def test_runs_pytest_and_nbval_and_passes_a_failure_on(setup):
     assert len([call for call in setup.calls() if "pytest" in call]) == 2, "the notebooks are checked all the same"
 
 
-@pytest.mark.parametrize("variables, words", [
-    ({"STUB_NO_VENV": "1"}, ["cannot make a virtual environment", "apt install python3.11-venv", "conda env create"]),
-    ({"STUB_NO_NETWORK": "1"}, ["could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution"]),
-])
+@pytest.mark.parametrize(
+    "variables, words",
+    [
+        ({"STUB_NO_VENV": "1"}, ["cannot make a virtual environment", "apt install python3.11-venv", "conda env create"]),
+        ({"STUB_NO_NETWORK": "1"}, ["could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution"]),
+    ],
+)
 def test_hints_instead_of_traces(setup, variables, words):
     setup.add("python3.11")
     result = setup.run(**variables)
@@ -136,7 +148,8 @@ def test_uv_brings_python_where_the_host_has_none(setup):
     result = setup.run("-k", "x")
     assert result.returncode == 0, result.stderr
     assert ["uv python install --quiet 3.11", "uv python find --managed-python 3.11"] == [
-        call for call in setup.calls() if call.startswith("uv")]
+        call for call in setup.calls() if call.startswith("uv")
+    ]
     assert (setup.root / ".venv" / "bin" / "python").exists()
     shutil.rmtree(setup.root / ".venv")
     failing = setup.run(STUB_NO_UV="1")

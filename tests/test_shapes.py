@@ -11,8 +11,14 @@ from paper_artifact.errors import InputError
 from paper_artifact.scene.shapes import BOWL_RIMS, SHAPES, make_shape
 
 CLOSED = [name for name in SHAPES if not name.startswith("bowl")]
-DIAGONALS = {"sphere": 2 * np.sqrt(3), "cube": np.sqrt(3), "torus": np.sqrt(2 * 2.76**2 + 0.76**2),
-             "cylinder": 2 * np.sqrt(3), "two_spheres": np.sqrt(5.6**2 + 8), "double_torus": 5.318}
+DIAGONALS = {
+    "sphere": 2 * np.sqrt(3),
+    "cube": np.sqrt(3),
+    "torus": np.sqrt(2 * 2.76**2 + 0.76**2),
+    "cylinder": 2 * np.sqrt(3),
+    "two_spheres": np.sqrt(5.6**2 + 8),
+    "double_torus": 5.318,
+}
 
 
 def homology(faces: np.ndarray) -> tuple[int, int, int]:
@@ -44,6 +50,7 @@ def test_closed_oriented_outwards_with_the_known_diagonal(name):
 
 def surface_distance(name: str, points: np.ndarray) -> np.ndarray:
     """Signed distance of points to the smooth surface, negative inside."""
+
     def torus(x, tube):
         return np.hypot(np.hypot(points[:, 0] - x, points[:, 1]) - 1, points[:, 2]) - tube
 
@@ -65,8 +72,13 @@ def test_vertices_lie_on_the_surface_and_facets_within_a_few_ten_thousandths_of_
 
 
 def test_volumes_against_closed_forms():
-    expected = {"sphere": 4 * np.pi / 3, "cube": 1.0, "cylinder": 2 * np.pi, "torus": 2 * np.pi**2 * 0.38**2,
-                "two_spheres": 8 * np.pi / 3}
+    expected = {
+        "sphere": 4 * np.pi / 3,
+        "cube": 1.0,
+        "cylinder": 2 * np.pi,
+        "torus": 2 * np.pi**2 * 0.38**2,
+        "two_spheres": 8 * np.pi / 3,
+    }
     for name, volume in expected.items():
         mesh = make_shape(name)
         assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(volume, rel=2e-3)

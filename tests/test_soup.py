@@ -90,12 +90,15 @@ def test_mlp_starts_kaiming_xavier_and_zero():
         assert 0.9 * bound < tensor.abs().max() <= bound
 
 
-@pytest.mark.parametrize("points, words", [
-    (np.zeros((1, 3)), "at least two finite points"),
-    (np.full((9, 3), np.nan), "at least two finite points"),
-    (np.zeros((9, 2)), "at least two finite points"),
-    (np.ones((9, 3)), "coincide"),
-])
+@pytest.mark.parametrize(
+    "points, words",
+    [
+        (np.zeros((1, 3)), "at least two finite points"),
+        (np.full((9, 3), np.nan), "at least two finite points"),
+        (np.zeros((9, 2)), "at least two finite points"),
+        (np.ones((9, 3)), "coincide"),
+    ],
+)
 def test_a_cloud_that_cannot_start_a_soup_is_refused(points, words):
     with pytest.raises(InputError, match=words):
         initial_soup(points, 5, 0)
@@ -149,14 +152,17 @@ def rewritten(path, **changes) -> None:
     np.savez(path, **{name: array for name, array in (arrays | changes).items() if array is not None})
 
 
-@pytest.mark.parametrize("changes, words", [
-    ({"mlp_3": None}, "not a readable soup"),
-    ({"vertices": np.zeros((40, 9))}, "does not hold a soup"),
-    ({"vertices": np.float32(1)}, "does not hold a soup"),
-    ({"opacity": np.zeros((39, 3))}, "does not hold a soup"),
-    ({"features": np.array(["a", "b"])}, "not a readable soup"),
-    ({"features": np.full((40, 3, 7), np.nan)}, "not finite"),
-])
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"mlp_3": None}, "not a readable soup"),
+        ({"vertices": np.zeros((40, 9))}, "does not hold a soup"),
+        ({"vertices": np.float32(1)}, "does not hold a soup"),
+        ({"opacity": np.zeros((39, 3))}, "does not hold a soup"),
+        ({"features": np.array(["a", "b"])}, "not a readable soup"),
+        ({"features": np.full((40, 3, 7), np.nan)}, "not finite"),
+    ],
+)
 def test_a_foreign_soup_is_refused(stored, changes, words):
     _, path = stored
     rewritten(path, **changes)

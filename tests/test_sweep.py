@@ -72,7 +72,8 @@ def test_all_runs_of_a_shape_share_every_setting_but_the_conditions():
 def test_a_study_cut_short_leaves_whole_seeds():
     first = study_configs("table1")[:6]
     assert {config.seed for config in first} == {0} and table(first) == {
-        (shape, condition): 1 for shape in ("sphere", "torus") for condition in ("C0", "C1", "C2")}
+        (shape, condition): 1 for shape in ("sphere", "torus") for condition in ("C0", "C1", "C2")
+    }
 
 
 def test_restrictions():
@@ -81,14 +82,17 @@ def test_restrictions():
     assert [config.seed for config in study_configs("table1", ["cube"], ["C2"])] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (("table9",), "unknown study 'table9'; choose one of baseline, table1"),
-    (("table1", ["spot"]), "has no shape spot; choose among sphere, torus, cube"),
-    (("table1", ["sphere", "shpere"]), "has no shape shpere"),
-    (("table1", None, ["C9"]), "has no condition C9"),
-    (("table1", None, None, [5]), "has no seed 5; choose among 0, 1, 2, 3, 4"),
-    (("table1", ["cube"], ["C6"]), "has no run with shape"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("table9",), "unknown study 'table9'; choose one of baseline, table1"),
+        (("table1", ["spot"]), "has no shape spot; choose among sphere, torus, cube"),
+        (("table1", ["sphere", "shpere"]), "has no shape shpere"),
+        (("table1", None, ["C9"]), "has no condition C9"),
+        (("table1", None, None, [5]), "has no seed 5; choose among 0, 1, 2, 3, 4"),
+        (("table1", ["cube"], ["C6"]), "has no run with shape"),
+    ],
+)
 def test_unknown_names_are_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         study_configs(*arguments)
@@ -182,8 +186,10 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
     monkeypatch.setattr(sweep_module, "run_processes", fail)
     monkeypatch.setattr(studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed))
     assert cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"]) == 1
-    assert capsys.readouterr().out.splitlines() == ["0 runs done, 2 were recorded before, 1 failed",
-                                                    "  sphere C0 seed 2: no luck with 2"]
+    assert capsys.readouterr().out.splitlines() == [
+        "0 runs done, 2 were recorded before, 1 failed",
+        "  sphere C0 seed 2: no luck with 2",
+    ]
     assert asked == [(3, "cpu")]
 
 
@@ -191,9 +197,11 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
     results = results_with_scene(tmp_path / "results", copy_of=swept[0])
     with monkeypatch.context() as patched:
         marker = blocked_run(tmp_path, patched)
-        program = ("from pathlib import Path\nfrom tests.sweep_runs import CONFIGS\n"
-                   "from paper_artifact.study.sweep import sweep\n"
-                   f"sweep([CONFIGS[0]], Path({str(results)!r}))")
+        program = (
+            "from pathlib import Path\nfrom tests.sweep_runs import CONFIGS\n"
+            "from paper_artifact.study.sweep import sweep\n"
+            f"sweep([CONFIGS[0]], Path({str(results)!r}))"
+        )
         process = subprocess.Popen([sys.executable, "-c", program], cwd=REPOSITORY, start_new_session=True)
         marker.wait(process)
         os.killpg(process.pid, signal.SIGKILL)
@@ -222,7 +230,8 @@ def test_a_damaged_record_is_never_overwritten(swept, tmp_path, monkeypatch):
 def test_a_run_ended_by_a_signal_or_without_a_word(monkeypatch):
     def start(command):
         return lambda values, results, device: subprocess.Popen(
-            [sys.executable, "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            [sys.executable, "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
 
     def failure(command):
         monkeypatch.setattr(sweep_module, "start_run", start(command))
@@ -255,12 +264,15 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
     assert children and all(child.returncode in (0, -signal.SIGTERM) for child in children) and len(children) < 5
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["table9"], "unknown study 'table9'"),
-    (["table1", "--workers=0"], "--workers must be at least 1, got 0"),
-    (["table1", "--executor=dask"], "belong together"),
-    (["table1", "--scheduler=tcp://127.0.0.1:1"], "belong together"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["table9"], "unknown study 'table9'"),
+        (["table1", "--workers=0"], "--workers must be at least 1, got 0"),
+        (["table1", "--executor=dask"], "belong together"),
+        (["table1", "--scheduler=tcp://127.0.0.1:1"], "belong together"),
+    ],
+)
 def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sweep_module, "start_run", None)
     assert cli.main(["sweep", *arguments, "--quiet", f"--results={tmp_path / 'results'}"]) == 1
@@ -273,8 +285,14 @@ def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, cap
 
 def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, monkeypatch):
     marker = blocked_run(tmp_path, monkeypatch)
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=":0",
-                      local_directory=str(tmp_path / "dask")) as cluster:
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address=":0",
+        local_directory=str(tmp_path / "dask"),
+    ) as cluster:
         workers = {worker.pid for worker in cluster.workers.values()}
 
         def kill():

@@ -80,10 +80,16 @@ def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
 
 def test_plan_value_gradcheck_with_every_kind_of_term():
     positions = torch.tensor(np.random.default_rng(0).random((9, 3)), requires_grad=True)
-    plan = Plan((Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True),
-                 Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
-                 Term(2, "recruited", 0.2, 0.3, (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), True, 2.0),
-                 Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.3, 0.9), False)), 9, {})
+    plan = Plan(
+        (
+            Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True),
+            Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
+            Term(2, "recruited", 0.2, 0.3, (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), True, 2.0),
+            Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.3, 0.9), False),
+        ),
+        9,
+        {},
+    )
     assert torch.autograd.gradcheck(plan.value, (positions,), eps=1e-7, atol=1e-6)
     unsound = (0.1 - 0.3) ** 2 + (0.4 - 0.9) ** 2  # the last term keeps its refresh value
     rest = Plan(plan.terms[:3], 9, {}).value(positions).item()
@@ -192,8 +198,9 @@ def non_gabriel(monkeypatch):
     edges = cloud[4:] - cloud[3]
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
-    monkeypatch.setattr("paper_artifact.topology.persistence.alpha_persistence",
-                        lambda points, method="fast": (None, pairs, None))
+    monkeypatch.setattr(
+        "paper_artifact.topology.persistence.alpha_persistence", lambda points, method="fast": (None, pairs, None)
+    )
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 
 
@@ -233,8 +240,12 @@ def test_flat_cases_and_wrong_density_are_refused(void):
     bundle, live = void
     loss = TopologyLoss(bundle)
     plane = live * [1, 1, 0]
-    for bad, words in ((live[:3], "at least 4 points"), (live[:200], "built at M = 400"), (plane, "in one plane"),
-                       (np.where(np.arange(400)[:, None] == 7, np.nan, live), "not finite")):
+    for bad, words in (
+        (live[:3], "at least 4 points"),
+        (live[:200], "built at M = 400"),
+        (plane, "in one plane"),
+        (np.where(np.arange(400)[:, None] == 7, np.nan, live), "not finite"),
+    ):
         with pytest.raises(InputError, match=words):
             loss(torch.tensor(bad))
     with pytest.raises(InputError, match="floating-point"):
@@ -269,8 +280,14 @@ def test_bundle_json_round_trip_and_damage(tmp_path, void):
     again = load_bundle(path)
     assert again.to_json() == bundle.to_json()
     value = json.loads(path.read_text())
-    for change in ({"format": "other"}, {"floor": 9.0}, {"bars": [[], []]}, {"samples": None}, {"dimensions": []},
-                   {"diagonal": 0.0}):
+    for change in (
+        {"format": "other"},
+        {"floor": 9.0},
+        {"bars": [[], []]},
+        {"samples": None},
+        {"dimensions": []},
+        {"diagonal": 0.0},
+    ):
         with pytest.raises(InputError):
             bundle_from_json({**value, **change})
     path.write_text("{")

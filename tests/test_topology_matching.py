@@ -18,6 +18,7 @@ def random_bars(generator, count):
 
 def brute_force(live, target, factor):
     """The cheapest partial matching, over all injections of subsets."""
+
     def alone(bars):
         return factor * (bars[:, 1] - bars[:, 0]) ** 2
 

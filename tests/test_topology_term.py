@@ -28,8 +28,12 @@ def octahedron_soup(refinements: int = 2) -> np.ndarray:
     soup = np.array([[corners[a], corners[b], corners[c]] for a in (0, 1) for b in (2, 3) for c in (4, 5)])
     for _ in range(refinements):
         middle = [(soup[:, i] + soup[:, j]) / 2 for i, j in ((0, 1), (1, 2), (2, 0))]
-        children = ((soup[:, 0], middle[0], middle[2]), (middle[0], soup[:, 1], middle[1]),
-                    (middle[2], middle[1], soup[:, 2]), tuple(middle))
+        children = (
+            (soup[:, 0], middle[0], middle[2]),
+            (middle[0], soup[:, 1], middle[1]),
+            (middle[2], middle[1], soup[:, 2]),
+            tuple(middle),
+        )
         soup = np.concatenate([np.stack(child, axis=1) for child in children])
         soup = soup / np.linalg.norm(soup, axis=2, keepdims=True)
     return soup
@@ -72,9 +76,14 @@ def test_faces_are_drawn_by_opacity_times_area():
 
 def test_bad_soups_are_refused():
     soup = octahedron_soup(0)
-    for vertices, opacity, words in ((soup * np.nan, None, "finite vertices"), (soup[:, :2], None, "finite vertices"),
-                                     (soup, np.zeros(8), "no finite, positive area"), (soup, np.ones(5), "opacity must be"),
-                                     (soup, -np.ones(8), "opacity must be"), (soup[:0], None, "no finite, positive area")):
+    for vertices, opacity, words in (
+        (soup * np.nan, None, "finite vertices"),
+        (soup[:, :2], None, "finite vertices"),
+        (soup, np.zeros(8), "no finite, positive area"),
+        (soup, np.ones(5), "opacity must be"),
+        (soup, -np.ones(8), "opacity must be"),
+        (soup[:0], None, "no finite, positive area"),
+    ):
         with pytest.raises(InputError, match=words):
             draw_samples(vertices, opacity, 10, samples_stream(0, 0))
     with pytest.raises(InputError, match="refresh after every resampling"):
@@ -251,9 +260,11 @@ def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch
 
 
 def test_package_is_importable_alone():
-    code = ("import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.topology.repair, "
-            "paper_artifact.topology.persistence\n"
-            "parts = {name.split('.')[1] for name in sys.modules if name.startswith('paper_artifact.')}\n"
-            "print(','.join(sorted(parts)))")
+    code = (
+        "import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.topology.repair, "
+        "paper_artifact.topology.persistence\n"
+        "parts = {name.split('.')[1] for name in sys.modules if name.startswith('paper_artifact.')}\n"
+        "print(','.join(sorted(parts)))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert set(done.stdout.strip().split(",")) <= {"errors", "files", "randomness", "sampling", "mesh", "topology"}

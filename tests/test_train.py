@@ -40,8 +40,12 @@ def parts(soup) -> list[torch.Tensor]:
 
 
 def same_bits(first: TrainResult, second: TrainResult) -> bool:
-    return (first.losses == second.losses and first.dumps == second.dumps and first.resamplings == second.resamplings
-            and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup))))
+    return (
+        first.losses == second.losses
+        and first.dumps == second.dumps
+        and first.resamplings == second.resamplings
+        and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup)))
+    )
 
 
 def dump(soup, step: int) -> dict:
@@ -118,8 +122,12 @@ def test_batches_are_permutations_redrawn_each_epoch(count, batch):
         assert Counter(int(view) for views in epoch for view in views) == Counter(train_views.tolist())
         assert [len(views) for views in epoch[:-1]] == [batch] * (per_epoch - 1)
     assert len({tuple(np.concatenate(epoch)) for epoch in epochs}) > 1
-    assert not np.array_equal(np.concatenate(epochs[0]), np.concatenate(
-        [batch_views(train_views, batch, 1, k + 1) for k in range(per_epoch)])) or count == 3
+    assert (
+        not np.array_equal(
+            np.concatenate(epochs[0]), np.concatenate([batch_views(train_views, batch, 1, k + 1) for k in range(per_epoch)])
+        )
+        or count == 3
+    )
 
 
 # --- the additive term ---------------------------------------------------------------------------------------------------------
@@ -142,7 +150,9 @@ class FakeTerm:
 
     def value(self, step, vertices, photo_gradient_norm):
         assert step == self.calls[-1][0]
-        assert photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5) and photo_gradient_norm() > 0
+        assert (
+            photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5) and photo_gradient_norm() > 0
+        )
         if step == self.stop_at:
             raise KeyboardInterrupt
         self.total += float(vertices.detach().sum())
@@ -261,8 +271,13 @@ def whole_runs(tiny_results, tmp_path_factory):
 def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whole_runs, tiny_results, tmp_path):
     folder = tmp_path / "results"
     shutil.copytree(tiny_results, folder)
-    killed = subprocess.run([sys.executable, "-c", KILLED, where, *arguments(condition, folder)], cwd=REPOSITORY,
-                            capture_output=True, text=True, timeout=600)
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, where, *arguments(condition, folder)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not list((folder / "runs").iterdir())
     (checkpoint,) = (folder / "checkpoints").glob("[!.]*.pt")  # a dot file is what the kill left of the one being written
@@ -324,11 +339,14 @@ class BadTerm(FakeTerm):
         return torch.sqrt(0 * vertices.sum()) if self.gradient_only else vertices.sum() * torch.nan
 
 
-@pytest.mark.parametrize("changes, term, words", [
-    ({"mlp_lr": 1e30}, None, r"the loss of step 2 is nan"),
-    ({}, BadTerm(gradient_only=False), r"the added loss term of step 4 is nan"),
-    ({}, BadTerm(gradient_only=True), r"vertices are not finite after step 4"),
-])
+@pytest.mark.parametrize(
+    "changes, term, words",
+    [
+        ({"mlp_lr": 1e30}, None, r"the loss of step 2 is nan"),
+        ({}, BadTerm(gradient_only=False), r"the added loss term of step 4 is nan"),
+        ({}, BadTerm(gradient_only=True), r"vertices are not finite after step 4"),
+    ],
+)
 def test_what_is_not_finite_stops_the_run_and_names_the_step(changes, term, words, tiny_scene, tmp_path):
     with pytest.raises(TrainingError, match=words):
         train(tiny_scene, tiny_config(**changes), term=term, checkpoint=tmp_path / "run.pt", device="cpu")

@@ -69,9 +69,20 @@ def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent()
     assert not (raster.fragment_triangle == 1).any()
     best: dict[tuple[int, int], tuple[float, int]] = {}
     survived = 0
-    for view, pixel, triangle, depth, b0, b1, alpha in zip(*(part.tolist() for part in (
-            raster.fragment_view, raster.fragment_pixel, raster.fragment_triangle, raster.fragment_depth,
-            raster.fragment_b0, raster.fragment_b1, raster.fragment_alpha))):
+    for view, pixel, triangle, depth, b0, b1, alpha in zip(
+        *(
+            part.tolist()
+            for part in (
+                raster.fragment_view,
+                raster.fragment_pixel,
+                raster.fragment_triangle,
+                raster.fragment_depth,
+                raster.fragment_b0,
+                raster.fragment_b1,
+                raster.fragment_alpha,
+            )
+        )
+    ):
         corner = case["opacity"][triangle]
         assert alpha == pytest.approx(float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12)
         if alpha >= float(draws.draw(np.uint32(KEYS[view]), np.uint32(pixel), np.uint32(triangle))):
@@ -160,7 +171,7 @@ def test_photometric_loss_agrees_with_a_plain_double_loop():
     for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13)):
         for row in range(4):
             for column in range(3):
-                a, b = image[row:row + 11, column:column + 11], truth[row:row + 11, column:column + 11]
+                a, b = image[row : row + 11, column : column + 11], truth[row : row + 11, column : column + 11]
                 ma, mb = (window * a).sum(), (window * b).sum()
                 va, vb = (window * (a - ma) ** 2).sum(), (window * (b - mb) ** 2).sum()
                 cov = (window * (a - ma) * (b - mb)).sum()
@@ -230,10 +241,14 @@ WALL = [[-60.0, -60.0, 0.4], [60.0, -60.0, 0.4], [0.0, 90.0, 0.4]]
 SCENES = {
     "border": [FLOATING, WALL],
     "opacity": [FLOATING, WALL],
-    "slanted crossing": [[[-4.0, -5.0, -2.2], [4.0, -6.0, 0.0], [-1.0, 9.0, 1.5]],
-                         [[-9.0, -9.0, 1.35], [9.0, -9.0, -0.45], [0.0, 15.0, -0.75]]],
-    "upright crossing": [[[-6.0, -5.0, -1.5], [6.0, -6.0, 1.5], [0.0, 9.0, 0.0]],
-                         [[-9.0, -9.0, 1.0], [9.0, -9.0, -0.8], [0.0, 15.0, 0.1]]],
+    "slanted crossing": [
+        [[-4.0, -5.0, -2.2], [4.0, -6.0, 0.0], [-1.0, 9.0, 1.5]],
+        [[-9.0, -9.0, 1.35], [9.0, -9.0, -0.45], [0.0, 15.0, -0.75]],
+    ],
+    "upright crossing": [
+        [[-6.0, -5.0, -1.5], [6.0, -6.0, 1.5], [0.0, 9.0, 0.0]],
+        [[-9.0, -9.0, 1.0], [9.0, -9.0, -0.8], [0.0, 15.0, 0.1]],
+    ],
 }
 
 

@@ -17,26 +17,29 @@ from tests.report_records import study_record
 
 # Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
 PER_SEED = {
-    "spot": ("pass", (.0429, .0584, .0550), (.0237,) * 3, (.0652,) * 3),
-    "bob": ("pass", (.0429, .0413, .0437), (.0200, .0207, .0216), (.0437,) * 3),
-    "fandisk": ("pass", (.0540, .0515, .0559), (.0058, .0055, .0042), (.0571,) * 3),
-    "pot": ("pass", (.0218, .0223, .0223), (.0059, .0056, .0056), (.0223,) * 3),
-    "rocker-arm": ("no effect", (.0088, .0082, .0079), (.0090, .0070, .0100), (.0112, .0112, .0115)),
-    "eight": ("pass", (.0249,) * 3, (.0169, .0175, .0142), (.0249,) * 3),
-    "armadillo": ("pass", (.0511,) * 3, (.0124, .0125, .0123), (.0511,) * 3),
-    "horse": ("pass", (.0408,) * 3, (.0124, .0083, .0118), (.0408,) * 3),
-    "cube": ("pass", (.0560, .0551, .0636), (.0071, .0064, .0086), (.1346,) * 3),
-    "two_spheres": ("tied by control", (.0060, .0074, .0062), (.0007, .0009, .0005), (.0009, .0009, .0006)),
-    "bowl_narrow": ("pass", (.0619, .0550, .0593), (.0137, .0126, .0151), (.1249,) * 3),
-    "bowl_wide": ("pass", (.0448, .0602, .0630), (.0141, .0136, .0135), (.0770,) * 3),
-    "double_torus": ("saturated", (.0264,) * 5, (.0264,) * 5, (.0264,) * 5),
+    "spot": ("pass", (0.0429, 0.0584, 0.0550), (0.0237,) * 3, (0.0652,) * 3),
+    "bob": ("pass", (0.0429, 0.0413, 0.0437), (0.0200, 0.0207, 0.0216), (0.0437,) * 3),
+    "fandisk": ("pass", (0.0540, 0.0515, 0.0559), (0.0058, 0.0055, 0.0042), (0.0571,) * 3),
+    "pot": ("pass", (0.0218, 0.0223, 0.0223), (0.0059, 0.0056, 0.0056), (0.0223,) * 3),
+    "rocker-arm": ("no effect", (0.0088, 0.0082, 0.0079), (0.0090, 0.0070, 0.0100), (0.0112, 0.0112, 0.0115)),
+    "eight": ("pass", (0.0249,) * 3, (0.0169, 0.0175, 0.0142), (0.0249,) * 3),
+    "armadillo": ("pass", (0.0511,) * 3, (0.0124, 0.0125, 0.0123), (0.0511,) * 3),
+    "horse": ("pass", (0.0408,) * 3, (0.0124, 0.0083, 0.0118), (0.0408,) * 3),
+    "cube": ("pass", (0.0560, 0.0551, 0.0636), (0.0071, 0.0064, 0.0086), (0.1346,) * 3),
+    "two_spheres": ("tied by control", (0.0060, 0.0074, 0.0062), (0.0007, 0.0009, 0.0005), (0.0009, 0.0009, 0.0006)),
+    "bowl_narrow": ("pass", (0.0619, 0.0550, 0.0593), (0.0137, 0.0126, 0.0151), (0.1249,) * 3),
+    "bowl_wide": ("pass", (0.0448, 0.0602, 0.0630), (0.0141, 0.0136, 0.0135), (0.0770,) * 3),
+    "double_torus": ("saturated", (0.0264,) * 5, (0.0264,) * 5, (0.0264,) * 5),
 }
 
 
 def rows(shape: str, chamfer: dict | None = None, **arms: tuple) -> list[dict]:
-    return [{"shape": shape, "condition": condition, "seed": seed, "tail": tail}
-            | ({"chamfer": chamfer[condition]} if chamfer else {})
-            for condition, tails in arms.items() for seed, tail in enumerate(tails)]
+    return [
+        {"shape": shape, "condition": condition, "seed": seed, "tail": tail}
+        | ({"chamfer": chamfer[condition]} if chamfer else {})
+        for condition, tails in arms.items()
+        for seed, tail in enumerate(tails)
+    ]
 
 
 def per_seed_rows() -> list[dict]:
@@ -69,41 +72,43 @@ def test_welch_sigma_only_with_five_seeds_and_equal_to_scipys():
     assert welch_sigma(a[:4], b) is None and welch_sigma([1.0] * 5, [2.0] * 5) is None
     # The paper's sphere: .0623±.0063 against .0156±.0013, five seeds each, is 16.2 sigma.
     unit = np.array([-1, -0.5, 0, 0.5, 1]) / np.std([-1, -0.5, 0, 0.5, 1], ddof=1)
-    judged = verdict(rows("sphere", C0=tuple(.0623 + .0063 * unit), C1=tuple(.0156 + .0013 * unit), C2=(.1372,) * 5))["sphere"]
+    judged = verdict(rows("sphere", C0=tuple(0.0623 + 0.0063 * unit), C1=tuple(0.0156 + 0.0013 * unit), C2=(0.1372,) * 5))[
+        "sphere"
+    ]
     assert judged.welch["C0"] == pytest.approx(16.2, abs=0.05) and judged.passed
-    assert verdict(rows("sphere", C0=(.06,) * 3, C1=(.01, .02, .03), C2=(.1,) * 3))["sphere"].welch == {}
+    assert verdict(rows("sphere", C0=(0.06,) * 3, C1=(0.01, 0.02, 0.03), C2=(0.1,) * 3))["sphere"].welch == {}
 
 
 def test_every_outcome():
-    good = {"C0": (.06, .07, .05), "C1": (.01, .02, .015), "C2": (.1, .1, .1)}
+    good = {"C0": (0.06, 0.07, 0.05), "C1": (0.01, 0.02, 0.015), "C2": (0.1, 0.1, 0.1)}
     cases = {
         "pass": good,
-        "no effect": {**good, "C1": (.01, .02, .055)},
-        "worse": {**good, "C1": (.08, .09, .085)},
-        "tied by control": {**good, "C2": (.02, .03, .04)},
-        "beaten by control": {**good, "C2": (.001, .002, .003)},
-        "saturated": {"C0": (.03,) * 3, "C1": (.03,) * 3, "C2": (.03,) * 3},
+        "no effect": {**good, "C1": (0.01, 0.02, 0.055)},
+        "worse": {**good, "C1": (0.08, 0.09, 0.085)},
+        "tied by control": {**good, "C2": (0.02, 0.03, 0.04)},
+        "beaten by control": {**good, "C2": (0.001, 0.002, 0.003)},
+        "saturated": {"C0": (0.03,) * 3, "C1": (0.03,) * 3, "C2": (0.03,) * 3},
     }
     for outcome, arms in cases.items():
         assert verdict(rows("x", **arms))["x"].outcome == outcome
     for missing in ("C0", "C1", "C2"):
         judged = verdict(rows("x", **{name: tails for name, tails in good.items() if name != missing}))["x"]
         assert judged.outcome == "incomplete" and missing in judged.reason
-    gentle = verdict(rows("x", **good, C2g=(.012, .02, .03)))["x"]
+    gentle = verdict(rows("x", **good, C2g=(0.012, 0.02, 0.03)))["x"]
     assert gentle.outcome == "tied by control" and "C2g" in gentle.reason  # every control that was run must be beaten
 
 
 def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
-    arms = {"C0": (.06, .07), "C1": (.01, .02), "C2": (.1, .1)}
-    for chamfer, parity, outcome in ((.0115, True, "pass"), (.01151, False, "parity failed")):
-        judged = verdict(rows("x", {"C0": .01, "C1": chamfer, "C2": .02}, **arms))["x"]
+    arms = {"C0": (0.06, 0.07), "C1": (0.01, 0.02), "C2": (0.1, 0.1)}
+    for chamfer, parity, outcome in ((0.0115, True, "pass"), (0.01151, False, "parity failed")):
+        judged = verdict(rows("x", {"C0": 0.01, "C1": chamfer, "C2": 0.02}, **arms))["x"]
         assert (judged.parity, judged.outcome) == (parity, outcome)
     unknown = verdict(rows("x", **arms))["x"]
     assert unknown.parity is None and unknown.passed and "unknown" in unknown.reason
 
 
 def test_phantoms_and_missing_features_are_counted_per_seed_and_do_not_decide():
-    made = rows("spot", C0=(.06, .07, .05), C1=(.01, .02, .015), C2=(.1, .1, .1))
+    made = rows("spot", C0=(0.06, 0.07, 0.05), C1=(0.01, 0.02, 0.015), C2=(0.1, 0.1, 0.1))
     counts = {"C0": (2, 1, 2), "C1": (1, 2, 1), "C2": (0, 0, 0)}
     for row in made:
         row |= {"count": counts[row["condition"]][row["seed"]], "expected": 1}
@@ -115,7 +120,7 @@ def test_phantoms_and_missing_features_are_counted_per_seed_and_do_not_decide():
 
 
 def test_bad_rows_are_refused():
-    good = {"shape": "x", "condition": "C0", "seed": 0, "tail": .1}
+    good = {"shape": "x", "condition": "C0", "seed": 0, "tail": 0.1}
     for change in ({"tail": math.nan}, {"tail": None}, {"tail": -1.0}, {"tail": math.inf}, {"shape": None}):
         with pytest.raises(InputError, match="finite tail"):
             verdict([good | change])
@@ -127,12 +132,25 @@ def test_bad_rows_are_refused():
 
 
 def test_rows_of_records():
-    record = {"status": "done", "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
-              "tails": {"bottleneck": [.001, .2, .3], "counts": [1, 0, 2], "chamfer": .005},
-              "mesh": {"dimension": 0, "betti": [2, 0, 2]}, "bundle": {"bars": [[[0, .1]], [], []]}}
+    record = {
+        "status": "done",
+        "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
+        "tails": {"bottleneck": [0.001, 0.2, 0.3], "counts": [1, 0, 2], "chamfer": 0.005},
+        "mesh": {"dimension": 0, "betti": [2, 0, 2]},
+        "bundle": {"bars": [[[0, 0.1]], [], []]},
+    }
     assert rows_of([record, record | {"status": "failed"}, record | {"tails": {}}]) == [
-        {"shape": "two_spheres", "condition": "C1", "seed": 2, "dimension": 0, "tail": .001, "chamfer": .005,
-         "count": 1, "expected": 1}]
+        {
+            "shape": "two_spheres",
+            "condition": "C1",
+            "seed": 2,
+            "dimension": 0,
+            "tail": 0.001,
+            "chamfer": 0.005,
+            "count": 1,
+            "expected": 1,
+        }
+    ]
     assert rows_of([record | {"mesh": {"dimension": 0, "betti": None}}])[0]["expected"] == 1
 
 
@@ -146,17 +164,17 @@ def test_transcribed_tables_give_the_same_verdicts():
 
 
 def test_tables_put_ours_beside_the_published():
-    ours = rows("cube", {"C0": .01, "C1": .009, "C2": .02}, C0=(.05, .06), C1=(.01, .012), C2=(.13, .13))
+    ours = rows("cube", {"C0": 0.01, "C1": 0.009, "C2": 0.02}, C0=(0.05, 0.06), C1=(0.01, 0.012), C2=(0.13, 0.13))
     both = pd.concat([published("1"), published("S7")])
     table = arm_table(pd.DataFrame(ours), both).set_index("condition")
-    assert table.loc["C1", "mean"] == pytest.approx(.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
-    assert (table.loc["C1", "published mean"], table.loc["C1", "published sd"]) == (.0074, .0011)
+    assert table.loc["C1", "mean"] == pytest.approx(0.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
+    assert (table.loc["C1", "published mean"], table.loc["C1", "published sd"]) == (0.0074, 0.0011)
     assert table.loc["C1", "published ratio"] == pytest.approx(7.9, abs=0.06)
     layout = verdict_table(ours, both)
     assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
     assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
     assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346±.0000 (0.43×)"
-    assert arm_table(ours, published("S7")).set_index("condition").loc["C1", "published mean"] == pytest.approx(.00737, abs=1e-5)
+    assert arm_table(ours, published("S7")).set_index("condition").loc["C1", "published mean"] == pytest.approx(0.00737, abs=1e-5)
     layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
     assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""
 

@@ -7,8 +7,18 @@ from typing import Any
 from paper_artifact.train.config import RunConfig, default_config
 
 STEPS = 60
-TINY = {"steps": STEPS, "budget": 200, "views": 8, "size": 64, "vertex_lr": 0.02, "final_lr": 0.1, "initial_ratio": 3.0,
-        "resample_every": 10, "samples": 500, "dump_steps": (20, 30, 60)}
+TINY = {
+    "steps": STEPS,
+    "budget": 200,
+    "views": 8,
+    "size": 64,
+    "vertex_lr": 0.02,
+    "final_lr": 0.1,
+    "initial_ratio": 3.0,
+    "resample_every": 10,
+    "samples": 500,
+    "dump_steps": (20, 30, 60),
+}
 
 
 def tiny_config(**changes: Any) -> RunConfig:

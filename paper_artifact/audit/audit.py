@@ -37,19 +37,40 @@ class Audit:
         """The shell commands that train C0, C1 and C2 with this bundle; empty when nothing is measurable."""
         if self.decision.samples is None:
             return ()
-        topology = (("bundle_seed", self.bundle.seed), ("dimensions", self.decision.dimensions), ("samples", self.decision.samples))
+        topology = (
+            ("bundle_seed", self.bundle.seed),
+            ("dimensions", self.decision.dimensions),
+            ("samples", self.decision.samples),
+        )
         changes = f'--set "topology={topology!r}" --set budget={BUDGET_BY_CLASS[self.decision.dimension]}'
-        return tuple(f"python -m paper_artifact train {shlex.quote(self.name)} --condition {condition} {changes}" for condition in ("C0", "C1", "C2"))
+        return tuple(
+            f"python -m paper_artifact train {shlex.quote(self.name)} --condition {condition} {changes}"
+            for condition in ("C0", "C1", "C2")
+        )
 
     def to_json(self) -> dict:
         """Return a JSON-able dict of all but the mesh and the diagram."""
         rungs = [asdict(rung) | {"signature": rung.signature} for rung in self.rungs]
-        return {"name": self.name, "certificate": self.certificate.to_json(), "staircase": rungs, "decision": asdict(self.decision),
-                "bundle": self.bundle.to_json() if self.bundle else None, "commands": list(self.commands)}
+        return {
+            "name": self.name,
+            "certificate": self.certificate.to_json(),
+            "staircase": rungs,
+            "decision": asdict(self.decision),
+            "bundle": self.bundle.to_json() if self.bundle else None,
+            "commands": list(self.commands),
+        }
 
 
-def audit_mesh(mesh: Mesh, name: str | None = None, *, densities: Sequence[int] = DENSITIES, working: Sequence[int] = WORKING,
-               seeds: int = 1, first_seed: int = 0, progress: Callable[[str], None] | None = None) -> Audit:
+def audit_mesh(
+    mesh: Mesh,
+    name: str | None = None,
+    *,
+    densities: Sequence[int] = DENSITIES,
+    working: Sequence[int] = WORKING,
+    seeds: int = 1,
+    first_seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Audit:
     """Certify `mesh` (loaded with or without its weld), measure its staircase, decide, and build the bundle.
 
     densities: M of the staircase, the working ones are added; seeds: the staircase's sampling seeds, from
@@ -57,8 +78,10 @@ def audit_mesh(mesh: Mesh, name: str | None = None, *, densities: Sequence[int] 
     progress: called with a line before each measurement. Raises InputError for a mesh without area or densities below 16.
     """
     if min((*densities, *working)) < 16 or seeds < 1 or first_seed < 0:
-        raise InputError(f"an audit needs densities of at least 16 points, one seed or more and none negative, got {min((*densities, *working))}, "
-                         f"{seeds} and {first_seed}")
+        raise InputError(
+            f"an audit needs densities of at least 16 points, one seed or more and none negative, got {min((*densities, *working))}, "
+            f"{seeds} and {first_seed}"
+        )
     certificate = certify(mesh.vertices, mesh.faces, mesh.name)
     if not certificate.passed and not certificate.closed:
         as_boundary = certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=True)
@@ -76,7 +99,9 @@ def audit_mesh(mesh: Mesh, name: str | None = None, *, densities: Sequence[int] 
     decision = decide([rung for rung in rungs if rung.seed == first_seed], certificate, working)
     bundle = None
     if decision.samples is not None:
-        bundle = build_from_mesh(mesh.vertices, mesh.faces, decision.samples, first_seed, shape=mesh.name, dimensions=decision.dimensions)
+        bundle = build_from_mesh(
+            mesh.vertices, mesh.faces, decision.samples, first_seed, shape=mesh.name, dimensions=decision.dimensions
+        )
     shown = diagrams[decision.samples if decision.samples is not None else max(diagrams)]
     return Audit(name or mesh.name, mesh, certificate, tuple(rungs), decision, bundle, shown)
 

@@ -44,8 +44,10 @@ def audit_page(audit: Audit) -> str:
         _bundle_section(audit),
         "<h2>3-D view</h2>" + f'<iframe title="3-D view" srcdoc="{html.escape(_view(audit), quote=True)}"></iframe>',
     ]
-    return (f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style></head>"
-            f"<body>{''.join(sections)}</body></html>\n")
+    return (
+        f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style></head>"
+        f"<body>{''.join(sections)}</body></html>\n"
+    )
 
 
 def headline(audit: Audit) -> str:
@@ -54,8 +56,10 @@ def headline(audit: Audit) -> str:
     if decision.samples is None:
         return "Nothing is measurable at any working density: there is nothing that the loss could act on, and no command to train it."
     acts = " and ".join(NAMES[d] for d in decision.dimensions)
-    return (f"Observable: {NAMES[decision.dimension]}, {'all expected' if decision.complete else 'not all'} measurable; working density "
-            f"M = {decision.samples}; the loss acts on {acts}.")
+    return (
+        f"Observable: {NAMES[decision.dimension]}, {'all expected' if decision.complete else 'not all'} measurable; working density "
+        f"M = {decision.samples}; the loss acts on {acts}."
+    )
 
 
 def _shown_samples(audit: Audit) -> int:
@@ -63,7 +67,9 @@ def _shown_samples(audit: Audit) -> int:
 
 
 def _staircase_table(audit: Audit) -> str:
-    head = "".join(f"<th>{text}</th>" for text in ("M", "seed", "floor", "significant", *(f"{name}: longest / floor" for name in NAMES)))
+    head = "".join(
+        f"<th>{text}</th>" for text in ("M", "seed", "floor", "significant", *(f"{name}: longest / floor" for name in NAMES))
+    )
     rows = []
     for rung in audit.rungs:
         cells = [str(rung.samples), str(rung.seed), f"{rung.floor:.4f}", rung.signature]
@@ -78,7 +84,9 @@ def _margin_figure(audit: Audit) -> Figure:
     samples = sorted({rung.samples for rung in audit.rungs})
     for dimension, axis in enumerate(axes[0]):
         for rank in range(SHOWN):
-            points = [(rung.samples, rung.margins[dimension][rank]) for rung in audit.rungs if len(rung.margins[dimension]) > rank]
+            points = [
+                (rung.samples, rung.margins[dimension][rank]) for rung in audit.rungs if len(rung.margins[dimension]) > rank
+            ]
             if points:
                 axis.plot(*zip(*points), "o", markersize=3.5, color="#1f5fbf", alpha=1 - 0.2 * rank)
                 middle = {m: [value for each, value in points if each == m] for m in samples}
@@ -101,7 +109,14 @@ def _diagram_figure(audit: Audit) -> Figure:
     limit = 1.08 * max([float(bars.max()) for bars in audit.diagram if len(bars)], default=1.0)
     for dimension, axis in enumerate(axes[0]):
         target = audit.bundle.bars[dimension] if audit.bundle is not None and dimension in audit.bundle.dimensions else None
-        draw_diagram(axis, audit.diagram[dimension], floor, limit, target, NAMES[dimension] + (", star: target" if target is not None else ""))
+        draw_diagram(
+            axis,
+            audit.diagram[dimension],
+            floor,
+            limit,
+            target,
+            NAMES[dimension] + (", star: target" if target is not None else ""),
+        )
     return figure
 
 
@@ -109,8 +124,12 @@ def _bundle_section(audit: Audit) -> str:
     if audit.bundle is None:
         return "<h2>Training</h2><p>No bundle: nothing is measurable.</p>"
     lines = [f"{NAMES[d]}: {reason}" for d, reason in enumerate(audit.bundle.reasons)]
-    return ("<h2>Bundle</h2>" + _list(lines) + "<h2>Training</h2><p>These commands build this very bundle again (same mesh, M, seed); "
-            "repeat them with --seed 1, --seed 2 for the protocol's three seeds.</p>" + _pre("\n".join(audit.commands)))
+    return (
+        "<h2>Bundle</h2>"
+        + _list(lines)
+        + "<h2>Training</h2><p>These commands build this very bundle again (same mesh, M, seed); "
+        "repeat them with --seed 1, --seed 2 for the protocol's three seeds.</p>" + _pre("\n".join(audit.commands))
+    )
 
 
 def _view(audit: Audit) -> str:

@@ -96,8 +96,10 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
             found = _density(ladder, dimension, expected[dimension])
             if found is None:
                 if expected[dimension]:
-                    reasons.append(f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a working density "
-                                   f"({', '.join(f'M = {rung.samples}: {_top(rung, dimension):.2f} of the floor' for rung in ladder)}).")
+                    reasons.append(
+                        f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a working density "
+                        f"({', '.join(f'M = {rung.samples}: {_top(rung, dimension):.2f} of the floor' for rung in ladder)})."
+                    )
                 continue
             rung, complete = found
             return _decision(by_samples, rung, dimension, complete, expected, basis, reasons)
@@ -120,19 +122,35 @@ def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -
     others = tuple(d for d in range(3) if d != dimension and expected[d] and rung.counts[d] == expected[d])
     count = rung.counts[dimension]
     if complete:
-        reasons.append(f"M = {rung.samples} is the first working density at which {expected[dimension]} of {expected[dimension]} expected "
-                       f"{NAMES[dimension]} clear the floor (tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor).")
+        reasons.append(
+            f"M = {rung.samples} is the first working density at which {expected[dimension]} of {expected[dimension]} expected "
+            f"{NAMES[dimension]} clear the floor (tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor)."
+        )
     else:
-        reasons.append(f"No working density shows all {expected[dimension]} {NAMES[dimension]}; M = {rung.samples} is the first that shows any "
-                       f"({count}, tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor), and the loss is restricted to it.")
+        reasons.append(
+            f"No working density shows all {expected[dimension]} {NAMES[dimension]}; M = {rung.samples} is the first that shows any "
+            f"({count}, tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor), and the loss is restricted to it."
+        )
     left = [d for d in range(3) if d != dimension and d not in others and (expected[d] or rung.counts[d])]
-    reasons += [f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}." for d in left]
-    warnings = [f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are expected: a concavity that caps, "
-                "or a real feature of the clean surface; a count there is no phantom of a reconstruction."
-                for denser in by_samples.values() if denser.samples >= rung.samples for d in range(3) if denser.counts[d] > expected[d]]
-    warnings += [f"The {NAMES[d]} lie within {100 * NEAR:.0f} % of the floor at M = {rung.samples}: another sampling seed may decide otherwise."
-                 for d in range(3) if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])]
-    return Decision(dimension, rung.samples, tuple(sorted((dimension, *others))), complete, expected, basis, tuple(reasons), tuple(warnings))
+    reasons += [
+        f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}." for d in left
+    ]
+    warnings = [
+        f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are expected: a concavity that caps, "
+        "or a real feature of the clean surface; a count there is no phantom of a reconstruction."
+        for denser in by_samples.values()
+        if denser.samples >= rung.samples
+        for d in range(3)
+        if denser.counts[d] > expected[d]
+    ]
+    warnings += [
+        f"The {NAMES[d]} lie within {100 * NEAR:.0f} % of the floor at M = {rung.samples}: another sampling seed may decide otherwise."
+        for d in range(3)
+        if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])
+    ]
+    return Decision(
+        dimension, rung.samples, tuple(sorted((dimension, *others))), complete, expected, basis, tuple(reasons), tuple(warnings)
+    )
 
 
 def _top(rung: Rung, dimension: int) -> float:

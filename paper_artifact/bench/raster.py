@@ -66,7 +66,8 @@ def _as(soup: Soup, dtype: torch.dtype) -> Soup:
 
 
 def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
-    """Return rows {what, ms, ratio to the trainer's step}: medians of interleaved forward + backward passes, CPU time of one thread."""
+    """Return rows {what, ms, ratio to the trainer's step}: medians of interleaved forward + backward passes, CPU time of one
+    thread."""
     scene, soup = sphere_case(results)
     views = scene.train[np.arange(4) * len(scene.train) // 4]
     target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))
@@ -83,12 +84,24 @@ def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
                 trainer.photometric_step(soup, views, keys)
             elif name in copies:
                 dtype = copies[name].vertices.dtype
-                _twin_step(copies[name], torch.from_numpy(scene.world_to_clip[views]).to(dtype),
-                           torch.as_tensor(scene.background).to(dtype), target.to(dtype), keys)
+                _twin_step(
+                    copies[name],
+                    torch.from_numpy(scene.world_to_clip[views]).to(dtype),
+                    torch.as_tensor(scene.background).to(dtype),
+                    target.to(dtype),
+                    keys,
+                )
             else:
                 _numba_step(soup, scene, target, statistics, buffers, views, keys, stages)
             times[name].append(time.process_time() - begin)
-    rows = [{"what": f"forward + backward, {name}", "ms": 1e3 * median(values[1:]),
-             "ratio": median(values[1:]) / median(times[FUSED][1:])} for name, values in times.items()]
-    return rows + [{"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None}
-                   for name, values in stages.items()]
+    rows = [
+        {
+            "what": f"forward + backward, {name}",
+            "ms": 1e3 * median(values[1:]),
+            "ratio": median(values[1:]) / median(times[FUSED][1:]),
+        }
+        for name, values in times.items()
+    ]
+    return rows + [
+        {"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None} for name, values in stages.items()
+    ]

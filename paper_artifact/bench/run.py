@@ -37,8 +37,12 @@ def run_row(shape: str, condition: str, steps: int, threads: int, results: Path,
     results: folder for the scene; changes: other values than `default_config`'s (numbers). Raises RuntimeError with the child's
     last line when it fails.
     """
-    child = subprocess.run([sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results), changes])],
-                           capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    child = subprocess.run(
+        [sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results), changes])],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
     if child.returncode:
         raise RuntimeError(f"the benchmark run failed: {(child.stderr.strip().splitlines() or ['no message'])[-1]}")
     return json.loads(child.stdout.strip().splitlines()[-1])

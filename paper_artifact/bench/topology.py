@@ -1,4 +1,5 @@
-"""The loss on a trained soup: refresh (samples, persistence, plan) beside gudhi's persistence alone, and one step under a frozen plan."""
+"""The loss on a trained soup: refresh (samples, persistence, plan) beside gudhi's persistence alone, and one step under a frozen
+plan."""
 
 from __future__ import annotations
 
@@ -18,14 +19,18 @@ from paper_artifact.train.run import find_mesh, make_run_term, with_condition
 
 
 def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[dict]:
-    """Return rows {what, ms, ratio}: CPU ms of one thread at M = 2048, medians of interleaved repetitions; ratio is to the refresh."""
+    """Return rows {what, ms, ratio}: CPU ms of one thread at M = 2048, medians of interleaved repetitions; ratio is to the
+    refresh."""
     _, soup = sphere_case(results, steps)
     mesh = find_mesh("sphere")
     config = with_condition(default_config("sphere", condition="C1"), mesh)
     _, bundle = make_run_term(config, mesh)
     opacity = torch.sigmoid(soup.opacity.detach())
-    times: dict[str, list[float]] = {"refresh: samples, persistence, plan": [], "gudhi safe: samples, persistence": [],
-                                     "step under a frozen plan, forward + backward": []}
+    times: dict[str, list[float]] = {
+        "refresh: samples, persistence, plan": [],
+        "gudhi safe: samples, persistence": [],
+        "step under a frozen plan, forward + backward": [],
+    }
     refresh, oracle, frozen = times
     for repetition in range(repetitions + 1):
         term = make_term(get_condition("C3"), bundle, config.steps, seed=repetition)  # no ramp: active from the first step
@@ -41,4 +46,6 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
         alpha_persistence(samples.positions(soup.vertices.detach()).numpy(), method="gudhi")
         times[oracle].append(time.process_time() - begin)
     reference = median(times[refresh][1:])
-    return [{"what": name, "ms": 1e3 * median(values[1:]), "ratio": median(values[1:]) / reference} for name, values in times.items()]
+    return [
+        {"what": name, "ms": 1e3 * median(values[1:]), "ratio": median(values[1:]) / reference} for name, values in times.items()
+    ]

@@ -125,26 +125,45 @@ def certify(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
     total = tuple(int(b) for b in betti.sum(axis=0))
     dual = dual_voids(simplices)
-    numbers = {field: int(getattr(checks, field).sum()) for field in (
-        "open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")}
+    numbers = {
+        field: int(getattr(checks, field).sum())
+        for field in ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
+    }
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
     reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
     return Certificate(
-        name=name, vertices_as_indexed=len(vertices), faces_as_indexed=len(faces),
+        name=name,
+        vertices_as_indexed=len(vertices),
+        faces_as_indexed=len(faces),
         open_edges_as_indexed=open_edge_count(np.asarray(faces), len(vertices)),
-        vertices=len(welded), edges=len(simplices.edges), faces=len(indexed), collapsed_faces=len(faces) - len(indexed),
-        duplicate_faces=checks.duplicate_faces, flat_faces=checks.flat_faces, **numbers, orientable=bool(checks.orientable.all()),
-        euler=euler, euler_as_given=euler + checks.duplicate_faces, betti=total, betti2_dual=dual,
-        components=tuple(sorted(components, key=lambda each: -each.faces)), kind=_kind(components), with_boundary=with_boundary,
-        verdict="fail" if reasons else "pass", reasons=tuple(reasons), notes=tuple(_notes(checks, components, len(faces) - len(indexed))),
+        vertices=len(welded),
+        edges=len(simplices.edges),
+        faces=len(indexed),
+        collapsed_faces=len(faces) - len(indexed),
+        duplicate_faces=checks.duplicate_faces,
+        flat_faces=checks.flat_faces,
+        **numbers,
+        orientable=bool(checks.orientable.all()),
+        euler=euler,
+        euler_as_given=euler + checks.duplicate_faces,
+        betti=total,
+        betti2_dual=dual,
+        components=tuple(sorted(components, key=lambda each: -each.faces)),
+        kind=_kind(components),
+        with_boundary=with_boundary,
+        verdict="fail" if reasons else "pass",
+        reasons=tuple(reasons),
+        notes=tuple(_notes(checks, components, len(faces) - len(indexed))),
     )
 
 
 def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
     vertices, edges, faces = counts
     euler = vertices - edges + faces
-    numbers = {field: int(getattr(checks, field)[i]) for field in (
-        "open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")}
+    numbers = {
+        field: int(getattr(checks, field)[i])
+        for field in ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
+    }
     orientable, loops = bool(checks.orientable[i]), numbers["boundary_loops"]
     genus = expected = None
     if numbers["nonmanifold_edges"] == numbers["pinched_vertices"] == 0:
@@ -152,8 +171,18 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
         genus = crosscaps // 2 if orientable else crosscaps
         expected = (1, 2 - euler, 1) if loops == 0 else (1, 1 - euler, 0)
     whole = expected is not None and loops == 0 and orientable and numbers["reversed_edges"] == 0
-    return Component(vertices, edges, faces, euler, tuple(int(b) for b in betti), expected, **numbers, orientable=orientable,
-                     genus=genus, volume=float(checks.volume[i]) if whole else None)
+    return Component(
+        vertices,
+        edges,
+        faces,
+        euler,
+        tuple(int(b) for b in betti),
+        expected,
+        **numbers,
+        orientable=orientable,
+        genus=genus,
+        volume=float(checks.volume[i]) if whole else None,
+    )
 
 
 def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[str]:
@@ -163,7 +192,9 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
     if numbers["nonmanifold_edges"]:
         reasons.append(f"non-manifold: {_count(numbers['nonmanifold_edges'], 'edge')} with more than two faces")
     if numbers["pinched_vertices"]:
-        reasons.append(f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} (faces in more than one fan)")
+        reasons.append(
+            f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} (faces in more than one fan)"
+        )
     if checks.duplicate_faces:
         reasons.append(f"{_count(checks.duplicate_faces, 'duplicate face')}")
     odd = [each.euler for each in components if each.euler % 2 and each.open_edges == 0]
@@ -186,8 +217,10 @@ def _notes(checks, components, collapsed: int) -> list[str]:
         notes.append(f"{_count(checks.flat_faces, 'face')} of zero area")
     inward = sum(1 for each in components if each.volume is not None and each.volume < 0)
     if inward:
-        notes.append(f"{inward} of {_count(len(components), 'component')} wound inwards (negative volume; "
-                     "a cavity's wall is, a body's should not be)")
+        notes.append(
+            f"{inward} of {_count(len(components), 'component')} wound inwards (negative volume; "
+            "a cavity's wall is, a body's should not be)"
+        )
     return notes
 
 

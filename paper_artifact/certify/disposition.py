@@ -9,10 +9,17 @@ from paper_artifact.scene.find import find_mesh
 
 # key: (the paper's certificate column, the paper's decision)
 PUBLISHED = {
-    "rocker-arm": ("pass (g1)", "loop group"), "eight": ("pass (g2)", "loop group"), "armadillo": ("pass (g0)", "void group"),
-    "horse": ("pass (g0)", "void group"), "cheburashka": ("pass (g0)", "set aside"), "eight-dense": ("pass (g2)", "set aside"),
-    "beast": ("fail: non-manifold", "-"), "cow": ("fail: odd χ", "-"), "max-planck": ("fail: 161 open edges", "-"),
-    "ogre": ("fail: 200 open edges", "-"), "teapot": ("fail: 160 open edges", "-"),
+    "rocker-arm": ("pass (g1)", "loop group"),
+    "eight": ("pass (g2)", "loop group"),
+    "armadillo": ("pass (g0)", "void group"),
+    "horse": ("pass (g0)", "void group"),
+    "cheburashka": ("pass (g0)", "set aside"),
+    "eight-dense": ("pass (g2)", "set aside"),
+    "beast": ("fail: non-manifold", "-"),
+    "cow": ("fail: odd χ", "-"),
+    "max-planck": ("fail: 161 open edges", "-"),
+    "ogre": ("fail: 200 open edges", "-"),
+    "teapot": ("fail: 160 open edges", "-"),
 }
 
 
@@ -37,7 +44,9 @@ def dispositions(keys: tuple[str, ...] = tuple(PUBLISHED)) -> list[Disposition]:
     for key in keys:
         published, decision = PUBLISHED[key]
         if key == "max-planck":
-            rows.append(Disposition(key, published, decision, "not obtainable: none of nine public copies has 161 open edges", None, None))
+            rows.append(
+                Disposition(key, published, decision, "not obtainable: none of nine public copies has 161 open edges", None, None)
+            )
             continue
         certificate = certify_mesh(find_mesh(key, welded=False))
         rows.append(Disposition(key, published, decision, *_compared(certificate, published), certificate))
@@ -62,6 +71,8 @@ def disposition_text(rows: list[Disposition]) -> str:
     lines = [f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured"]
     for row in rows:
         betti = str(row.certificate.betti) if row.certificate else "-"
-        lines.append(f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}"
-                     f"{ {True: 'yes', False: 'NO', None: '-'}[row.agrees]:<8}{row.measured}")
+        lines.append(
+            f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}"
+            f"{ {True: 'yes', False: 'NO', None: '-'}[row.agrees]:<8}{row.measured}"
+        )
     return "\n".join(lines)

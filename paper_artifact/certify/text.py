@@ -18,16 +18,29 @@ def certificate_text(certificate: Certificate) -> str:
         ("after exact weld", f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles"),
         ("open edges", f"{c.open_edges}" + (f" in {c.boundary_loops} boundary loops" if c.open_edges else "")),
         ("non-manifold", f"{c.nonmanifold_edges} edges, {c.pinched_vertices} pinched vertices"),
-        ("winding", ("orientable" if c.orientable else "not orientable") + f", {c.reversed_edges} edges wound alike by both faces"),
+        (
+            "winding",
+            ("orientable" if c.orientable else "not orientable") + f", {c.reversed_edges} edges wound alike by both faces",
+        ),
         ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
-        ("Betti numbers, Z/2", f"{c.betti}, b2 by duality {c.betti2_dual if c.betti2_dual is not None else 'not counted (too large)'}"),
-        ("Euler characteristic", f"{c.euler}" + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else "")),
+        (
+            "Betti numbers, Z/2",
+            f"{c.betti}, b2 by duality {c.betti2_dual if c.betti2_dual is not None else 'not counted (too large)'}",
+        ),
+        (
+            "Euler characteristic",
+            f"{c.euler}" + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""),
+        ),
     ]
     lines += [f"  {label:<21}{text}" for label, text in rows]
-    lines.append(f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}{'open':>5}{'loops':>6}{'genus':>6}")
+    lines.append(
+        f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}{'open':>5}{'loops':>6}{'genus':>6}"
+    )
     for number, each in enumerate(c.components[:LONGEST], start=1):
-        lines.append(f"  {number:<11}{each.vertices:>9}{each.faces:>10}{each.euler:>6}  {str(each.betti):<14}{_or_dash(each.expected):<14}"
-                     f"{each.open_edges:>5}{each.boundary_loops:>6}{_or_dash(each.genus):>6}")
+        lines.append(
+            f"  {number:<11}{each.vertices:>9}{each.faces:>10}{each.euler:>6}  {str(each.betti):<14}{_or_dash(each.expected):<14}"
+            f"{each.open_edges:>5}{each.boundary_loops:>6}{_or_dash(each.genus):>6}"
+        )
     if len(c.components) > LONGEST:
         lines.append(f"  … and {len(c.components) - LONGEST} smaller components (all of them in --json)")
     return "\n".join(lines)

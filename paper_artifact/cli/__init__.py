@@ -62,8 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"paper_artifact: {error}", file=sys.stderr)
     except KeyboardInterrupt:
-        print("paper_artifact: interrupted; finished files are complete and the same command can be run again",
-              file=sys.stderr)
+        print("paper_artifact: interrupted; finished files are complete and the same command can be run again", file=sys.stderr)
     except BrokenPipeError:
         # The reader (head, less) has gone; point stdout at nothing, so that the interpreter's last flush is silent.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -81,8 +80,9 @@ def _parser(asked: str | None):
     runners = {}
     for name, verb in VERBS.items():
         # "resolve": a verb may define --quiet again with words of its own.
-        child = verbs.add_parser(name, help=verb.summary, description=verb.summary[0].upper() + verb.summary[1:] + ".",
-                                 conflict_handler="resolve")
+        child = verbs.add_parser(
+            name, help=verb.summary, description=verb.summary[0].upper() + verb.summary[1:] + ".", conflict_handler="resolve"
+        )
         if verb.long:
             child.add_argument("--quiet", action="store_true", help="no progress bar, for logs")
         if name == asked:
@@ -98,7 +98,11 @@ def _load(name: str, verb: Verb):
         return importlib.import_module(path)
     except ModuleNotFoundError as error:
         if error.name == path:
-            raise InputError(f"the verb '{name}' is not part of this version ({__version__}); "
-                             "`python -m paper_artifact --help` lists the verbs") from None
-        raise InputError(f"the verb '{name}' needs the Python package '{error.name}', which is not installed; "
-                         "run `bash reproduce.sh` or `bash test.sh`, which set up .venv, and use .venv/bin/python") from error
+            raise InputError(
+                f"the verb '{name}' is not part of this version ({__version__}); "
+                "`python -m paper_artifact --help` lists the verbs"
+            ) from None
+        raise InputError(
+            f"the verb '{name}' needs the Python package '{error.name}', which is not installed; "
+            "run `bash reproduce.sh` or `bash test.sh`, which set up .venv, and use .venv/bin/python"
+        ) from error

@@ -11,14 +11,25 @@ from paper_artifact.files import RESULTS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("mesh", help="a mesh file (any that trimesh reads), the key of an external mesh, an analytic shape, or 'pot'")
-    parser.add_argument("--out", type=Path, metavar="DIR",
-                        help="folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)")
+    parser.add_argument(
+        "mesh", help="a mesh file (any that trimesh reads), the key of an external mesh, an analytic shape, or 'pot'"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)"
+    )
     parser.add_argument("--seeds", type=int, default=1, help="sampling seeds of the staircase (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0,
-                        help="the first of them, which decides and which the bundle is built with (default: %(default)s)")
-    parser.add_argument("--densities", type=int, nargs="+", metavar="M", help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)")
-    parser.add_argument("--working", type=int, nargs="+", metavar="M", help="densities that the rule may choose (default: 2048 8192)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="the first of them, which decides and which the bundle is built with (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--densities", type=int, nargs="+", metavar="M", help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)"
+    )
+    parser.add_argument(
+        "--working", type=int, nargs="+", metavar="M", help="densities that the rule may choose (default: 2048 8192)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,8 +47,15 @@ def run(arguments: argparse.Namespace) -> int:
     mesh = find_mesh(arguments.mesh, welded=False)
     folder = arguments.out or RESULTS / "audits" / (re.sub(r"[^\w.-]+", "_", mesh.name) or "mesh")
     with tqdm(disable=arguments.quiet, bar_format="{desc} ({elapsed})", leave=False) as bar:
-        audit = audit_mesh(mesh, arguments.mesh, densities=arguments.densities or DENSITIES, working=arguments.working or WORKING,
-                           seeds=arguments.seeds, first_seed=arguments.seed, progress=bar.set_description_str)
+        audit = audit_mesh(
+            mesh,
+            arguments.mesh,
+            densities=arguments.densities or DENSITIES,
+            working=arguments.working or WORKING,
+            seeds=arguments.seeds,
+            first_seed=arguments.seed,
+            progress=bar.set_description_str,
+        )
         page = audit_page(audit)
     write_json(folder / "audit.json", audit.to_json())
     if audit.bundle is not None:
@@ -46,8 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
         (folder / "bundle.json").unlink(missing_ok=True)  # of an earlier audit
     write_text(folder / "audit.html", page)
     certificate = audit.certificate
-    print(f"{audit.name}: certificate {certificate.verdict}" + (f" ({'; '.join(certificate.reasons)})" if certificate.reasons else "")
-          + f", {certificate.kind}, β = {certificate.betti}")
+    print(
+        f"{audit.name}: certificate {certificate.verdict}"
+        + (f" ({'; '.join(certificate.reasons)})" if certificate.reasons else "")
+        + f", {certificate.kind}, β = {certificate.betti}"
+    )
     for rung in audit.rungs:
         tops = "  ".join(f"H{d} {margins[0]:.2f}" if margins else f"H{d}    –" for d, margins in enumerate(rung.margins))
         print(f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} longest / floor: {tops}")

@@ -10,12 +10,19 @@ from paper_artifact.errors import InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("mesh", nargs="?", help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape")
+    parser.add_argument(
+        "mesh", nargs="?", help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the whole certificate as JSON")
-    parser.add_argument("--with-boundary", action="store_true",
-                        help="certify a surface with boundary as such (disk, annulus …) instead of failing its open edges")
+    parser.add_argument(
+        "--with-boundary",
+        action="store_true",
+        help="certify a surface with boundary as such (disk, annulus …) instead of failing its open edges",
+    )
     parser.add_argument("--strict", action="store_true", help="exit code 1 unless the mesh passes")
-    parser.add_argument("--candidates", action="store_true", help="instead of one mesh: the paper's eleven candidates, ours beside its table")
+    parser.add_argument(
+        "--candidates", action="store_true", help="instead of one mesh: the paper's eleven candidates, ours beside its table"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

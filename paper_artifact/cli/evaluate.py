@@ -15,14 +15,21 @@ from paper_artifact.files import write_json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("surface", type=Path, metavar="FILE", help="a trained soup (.npz) or any mesh file that trimesh reads")
-    parser.add_argument("--target", required=True, metavar="SHAPE|MESH",
-                        help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file")
-    parser.add_argument("--scene", type=Path, metavar="DIR",
-                        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)")
-    parser.add_argument("--samples", type=int, default=20_000,
-                        help="surface samples of either side (default: %(default)s, as the paper)")
-    parser.add_argument("--dimension", type=int, choices=(0, 1, 2),
-                        help="the discriminating dimension (default: the study's for the shape)")
+    parser.add_argument(
+        "--target",
+        required=True,
+        metavar="SHAPE|MESH",
+        help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file",
+    )
+    parser.add_argument(
+        "--scene", type=Path, metavar="DIR", help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)"
+    )
+    parser.add_argument(
+        "--samples", type=int, default=20_000, help="surface samples of either side (default: %(default)s, as the paper)"
+    )
+    parser.add_argument(
+        "--dimension", type=int, choices=(0, 1, 2), help="the discriminating dimension (default: the study's for the shape)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")
     parser.add_argument("--json", type=Path, metavar="OUT", help="also write everything to this file, with the longest bars")
 
@@ -55,9 +62,14 @@ def run(arguments: argparse.Namespace) -> int:
         mesh = load_mesh(arguments.surface)
         samples = sample_surface(mesh.vertices, mesh.faces, arguments.samples, draws)[0]
     target = metrics.make_target(truth, arguments.samples, arguments.seed, arguments.dimension, cache=metrics.TARGETS)
-    result = metrics.evaluate_samples(samples, target) | {"surface": str(arguments.surface), "target": target.name,
-                                                  "dimension": target.dimension, "target_counts": list(target.counts),
-                                                  "samples": arguments.samples, "seed": arguments.seed}
+    result = metrics.evaluate_samples(samples, target) | {
+        "surface": str(arguments.surface),
+        "target": target.name,
+        "dimension": target.dimension,
+        "target_counts": list(target.counts),
+        "samples": arguments.samples,
+        "seed": arguments.seed,
+    }
     if images is not None:
         result["images"] = images
     print(table(result))
@@ -68,15 +80,21 @@ def run(arguments: argparse.Namespace) -> int:
 
 def table(result: dict) -> str:
     """Return the lines that the verb prints for its result."""
-    lines = [f"{result['surface']} against {result['target']}, {result['samples']} samples a side, seed {result['seed']}",
-             "dimension   bottleneck   significant bars   of the target"]
+    lines = [
+        f"{result['surface']} against {result['target']}, {result['samples']} samples a side, seed {result['seed']}",
+        "dimension   bottleneck   significant bars   of the target",
+    ]
     for dimension in range(3):
         mark = "  <- discriminating" if dimension == result["dimension"] else ""
-        lines.append(f"H{dimension}          {result['bottleneck'][dimension]:.5f}      {result['counts'][dimension]:<18} "
-                     f"{result['target_counts'][dimension]}{mark}")
+        lines.append(
+            f"H{dimension}          {result['bottleneck'][dimension]:.5f}      {result['counts'][dimension]:<18} "
+            f"{result['target_counts'][dimension]}{mark}"
+        )
     lines.append(f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only)")
-    lines.append(f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; sum {100 * result['chamfer_sum']:.3f} %), "
-                 f"Hausdorff95 {100 * result['hausdorff95']:.3f} %")
+    lines.append(
+        f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; sum {100 * result['chamfer_sum']:.3f} %), "
+        f"Hausdorff95 {100 * result['hausdorff95']:.3f} %"
+    )
     if "images" in result:
         scores = result["images"]
         lines.append(f"held-out views: PSNR {scores['psnr']:.2f} dB, SSIM {scores['ssim']:.4f} ({len(scores['views'])} views)")

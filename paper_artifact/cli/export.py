@@ -14,14 +14,32 @@ FORMATS = ("ply", "glb", "png", "html")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("soup", type=Path, metavar="SOUP", help="a trained soup, results/soups/<run>.npz")
-    parser.add_argument("--out", type=Path, default=RESULTS / "exports", metavar="DIR",
-                        help="the folder for the files (default: results/exports); they are named after the soup")
-    parser.add_argument("--formats", nargs="+", choices=FORMATS, default=list(FORMATS), metavar="FORMAT",
-                        help=f"which of {', '.join(FORMATS)} (default: all)")
-    parser.add_argument("--target", metavar="SHAPE|MESH",
-                        help="a ground truth (shape, key of a fetched mesh, or file) to show beside the soup in the HTML view")
-    parser.add_argument("--scene", type=Path, metavar="DIR",
-                        help="render the held-out views of this COLMAP scene, photographs above (default: views around the soup)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=RESULTS / "exports",
+        metavar="DIR",
+        help="the folder for the files (default: results/exports); they are named after the soup",
+    )
+    parser.add_argument(
+        "--formats",
+        nargs="+",
+        choices=FORMATS,
+        default=list(FORMATS),
+        metavar="FORMAT",
+        help=f"which of {', '.join(FORMATS)} (default: all)",
+    )
+    parser.add_argument(
+        "--target",
+        metavar="SHAPE|MESH",
+        help="a ground truth (shape, key of a fetched mesh, or file) to show beside the soup in the HTML view",
+    )
+    parser.add_argument(
+        "--scene",
+        type=Path,
+        metavar="DIR",
+        help="render the held-out views of this COLMAP scene, photographs above (default: views around the soup)",
+    )
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
     parser.add_argument("--size", type=int, default=400, help="their side in pixels (default: %(default)s)")
 

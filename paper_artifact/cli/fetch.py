@@ -16,11 +16,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("key", nargs="*", help="meshes to fetch (default: all that the paper uses, sets aside or rejects)")
     parser.add_argument("--all", action="store_true", help="also the other copies that were compared with these")
-    parser.add_argument("--mirror", type=Path, metavar="DIR",
-                        help=f"read from this folder (layout <owner>+<repository>/<path>) instead of the network; "
-                             f"the environment variable {MIRROR_VARIABLE} does the same")
-    parser.add_argument("--out", type=Path, default=DOWNLOADS, metavar="DIR",
-                        help="where to put them (default: data_scripts/downloads)")
+    parser.add_argument(
+        "--mirror",
+        type=Path,
+        metavar="DIR",
+        help=f"read from this folder (layout <owner>+<repository>/<path>) instead of the network; "
+        f"the environment variable {MIRROR_VARIABLE} does the same",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=DOWNLOADS, metavar="DIR", help="where to put them (default: data_scripts/downloads)"
+    )
     parser.add_argument("--list", action="store_true", help="print key, role, source and licence of every mesh and fetch nothing")
 
 
@@ -31,8 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
             place = f"{entry.repository}@{entry.commit[:8]}:{entry.path}" if entry.obtainable else entry.notes
             print(f"{entry.key:<17}{entry.role:<15}{place}\n{'':<17}licence: {entry.licence or '-'}")
         return 0
-    keys = arguments.key or [entry.key for entry in sources().values()
-                             if entry.obtainable and (arguments.all or entry.role != "comparison")]
+    keys = arguments.key or [
+        entry.key for entry in sources().values() if entry.obtainable and (arguments.all or entry.role != "comparison")
+    ]
     for key in keys:
         source(key)  # a mistyped key stops before any download
     failed = 0

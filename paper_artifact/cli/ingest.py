@@ -12,8 +12,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("raw", help="a mesh file, the key of an external mesh, or 'pot' for the procedural hot pot with a flue")
     parser.add_argument("--out", type=Path, required=True, metavar="SHELL", help="the shell: .ply, .obj or .stl")
-    parser.add_argument("--offset", type=float,
-                        help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)")
+    parser.add_argument(
+        "--offset",
+        type=float,
+        help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)",
+    )
     parser.add_argument("--cells", type=float, help="grid cells per ε (default: 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write both certificates and the numbers as JSON")
     parser.add_argument("--raw-obj", type=Path, metavar="FILE", help="pot only: also write the raw polygons as OBJ")
@@ -32,8 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--raw-obj writes the procedural pot's polygons; it goes with 'pot' alone")
     mesh = find_mesh(arguments.raw, welded=False) if pot is None else pot.mesh()
     offset, cells = (solidify.OFFSET, solidify.CELLS) if pot is None else (hot_pot.OFFSET, hot_pot.CELLS)
-    solid = solidify.solidify(mesh, offset if arguments.offset is None else arguments.offset,
-                              cells if arguments.cells is None else arguments.cells)
+    solid = solidify.solidify(
+        mesh, offset if arguments.offset is None else arguments.offset, cells if arguments.cells is None else arguments.cells
+    )
     certificate = write_shell(arguments.out, solid.shell)
     if arguments.json:
         write_json(arguments.json, solid.to_json())
@@ -41,11 +45,13 @@ def run(arguments: argparse.Namespace) -> int:
         write_text(arguments.raw_obj, pot.obj())
     raw = solid.raw
     reasons = f" ({'; '.join(raw.reasons)})" if raw.reasons else ""
-    print(f"{mesh.name}: raw {raw.verdict}{reasons}, {len(raw.components)} components after the weld\n"
-          f"  offset   ε = {solid.offset:.6g}, cell {solid.cell:.6g}, grid {' × '.join(map(str, solid.grid))}\n"
-          f"  pockets  {solid.pockets} enclosed, dropped\n"
-          f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, {certificate.vertices} vertices, "
-          f"{certificate.faces} triangles\n"
-          f"  sha256   {solid.sha256} (points and triangles)\n"
-          f"{arguments.out}")
+    print(
+        f"{mesh.name}: raw {raw.verdict}{reasons}, {len(raw.components)} components after the weld\n"
+        f"  offset   ε = {solid.offset:.6g}, cell {solid.cell:.6g}, grid {' × '.join(map(str, solid.grid))}\n"
+        f"  pockets  {solid.pockets} enclosed, dropped\n"
+        f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, {certificate.vertices} vertices, "
+        f"{certificate.faces} triangles\n"
+        f"  sha256   {solid.sha256} (points and triangles)\n"
+        f"{arguments.out}"
+    )
     return 0

@@ -12,8 +12,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     summaries = "; ".join(f"{name}: {each.summary}" for name, each in MEASUREMENTS.items())
     parser.add_argument("name", choices=tuple(MEASUREMENTS), help=summaries)
-    parser.add_argument("--out", type=Path, default=MEASURED, metavar="DIR",
-                        help="folder of NAME.csv (default: results/measured)")
+    parser.add_argument(
+        "--out", type=Path, default=MEASURED, metavar="DIR", help="folder of NAME.csv (default: results/measured)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -21,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     with tqdm(desc=f"measuring {arguments.name}", unit="part", disable=arguments.quiet) as bar:
+
         def progress(text: str) -> None:
             bar.set_postfix_str(text)
             bar.update()

@@ -11,15 +11,26 @@ from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, PROFILES
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("--profile", choices=PROFILES, default=PROFILES[0],
-                        help="recorded: read committed records and train only what is short (default); full: train everything")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME",
-                        help="only the notebooks whose name starts with NAME; may be given several times")
-    parser.add_argument("--refresh", action="store_true",
-                        help="also write outputs and counts back into the notebooks, without times and paths")
+    parser.add_argument(
+        "--profile",
+        choices=PROFILES,
+        default=PROFILES[0],
+        help="recorded: read committed records and train only what is short (default); full: train everything",
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only the notebooks whose name starts with NAME; may be given several times",
+    )
+    parser.add_argument(
+        "--refresh", action="store_true", help="also write outputs and counts back into the notebooks, without times and paths"
+    )
     parser.add_argument("--notebooks", type=Path, default=NOTEBOOKS, metavar="DIR", help="where they are (default: notebooks)")
-    parser.add_argument("--out", type=Path, default=EXECUTED, metavar="DIR",
-                        help="where executed copies go (default: results/executed)")
+    parser.add_argument(
+        "--out", type=Path, default=EXECUTED, metavar="DIR", help="where executed copies go (default: results/executed)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,8 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
         with own_kernel(), tqdm(files, desc="run-all", unit="notebook", disable=arguments.quiet) as bar:
             for path in bar:
                 bar.set_postfix_str(path.stem)
-                outcomes.append(execute(path, arguments.profile, executed=arguments.out, refresh=arguments.refresh,
-                                        quiet=arguments.quiet))
+                outcomes.append(
+                    execute(path, arguments.profile, executed=arguments.out, refresh=arguments.refresh, quiet=arguments.quiet)
+                )
     finally:  # an interrupted run shows what it did finish
         print(outcome_table(outcomes))
     failed = [outcome.name for outcome in outcomes if outcome.error]

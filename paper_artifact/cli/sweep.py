@@ -15,8 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shape", action="append", help="only this shape (may be given several times)")
     parser.add_argument("--condition", action="append", help="only this condition (may be given several times)")
     parser.add_argument("--seed", action="append", type=int, help="only this seed (may be given several times)")
-    parser.add_argument("--workers", type=int, default=1,
-                        help="runs at the same time, one process and one thread each (default: %(default)s)")
+    parser.add_argument(
+        "--workers", type=int, default=1, help="runs at the same time, one process and one thread each (default: %(default)s)"
+    )
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder with runs/ (default: results/)")
     parser.add_argument("--device", default="cpu", help="cpu, cuda or auto (default: %(default)s)")
     parser.add_argument("--executor", choices=("process", "dask"), default="process", help="(default: %(default)s)")
@@ -41,14 +42,21 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
         return 0
     with tqdm(total=1, disable=arguments.quiet, unit="run") as bar:
+
         def report(text: str, ended: int, total: int) -> None:
             bar.total = total
             bar.set_description(text, refresh=False)
             bar.update(ended - bar.n)
             bar.refresh()
 
-        outcomes = sweep(configs, arguments.results, workers=arguments.workers, device=arguments.device,
-                         scheduler=arguments.scheduler, report=report)
+        outcomes = sweep(
+            configs,
+            arguments.results,
+            workers=arguments.workers,
+            device=arguments.device,
+            scheduler=arguments.scheduler,
+            report=report,
+        )
     failures = [outcome for outcome in outcomes if outcome.failure]
     before = len(configs) - len(outcomes)
     print(f"{len(outcomes) - len(failures)} runs done, {before} were recorded before, {len(failures)} failed")

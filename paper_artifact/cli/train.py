@@ -14,19 +14,32 @@ from paper_artifact.files import RESULTS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("shape", help="an analytic shape, the key of an external mesh, or a mesh file")
-    parser.add_argument("--condition", default="C0", help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)")
+    parser.add_argument(
+        "--condition", default="C0", help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
     parser.add_argument("--steps", type=int, default=2500, help="(default: %(default)s)")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="changes",
-                        help="change any other number of the configuration, e.g. --set vertex_lr=0.006 --set budget=900")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="folder for record, soup, scene and checkpoint (default: results/)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="changes",
+        help="change any other number of the configuration, e.g. --set vertex_lr=0.006 --set budget=900",
+    )
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="folder for record, soup, scene and checkpoint (default: results/)"
+    )
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=1, help="CPU threads; the result does not depend on it (default: %(default)s)")
+    parser.add_argument(
+        "--threads", type=int, default=1, help="CPU threads; the result does not depend on it (default: %(default)s)"
+    )
     parser.add_argument("--again", action="store_true", help="run even if there is a record of this configuration")
 
 
 def parse_changes(changes: list[str]) -> dict:
-    """Return {name: value} of NAME=VALUE texts; values are Python literals, else text. Raises InputError without an equals sign."""
+    """Return {name: value} of NAME=VALUE texts; values are Python literals, else text. Raises InputError without an equals
+    sign."""
     parsed = {}
     for change in changes:
         name, equals, text = change.partition("=")
@@ -57,21 +70,27 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
         if kinds.get(name) == "float" and isinstance(value, int):
             changes[name] = float(value)
-        elif kinds.get(name) == "int" and not isinstance(value, int) or kinds.get(name) == "float" and not isinstance(value, float):
+        elif (
+            kinds.get(name) == "int" and not isinstance(value, int) or kinds.get(name) == "float" and not isinstance(value, float)
+        ):
             raise InputError(f"--set {name} takes a number of kind {kinds[name]}, got {value!r}")
     config = default_config(arguments.shape, condition=arguments.condition, seed=arguments.seed, steps=arguments.steps, **changes)
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
     set_thread_count(arguments.threads)
     torch.set_num_threads(1)
-    with tqdm(total=config.steps, disable=arguments.quiet, desc=f"{arguments.shape} {config.condition}: compiling, scene",
-              unit="step") as bar:
+    with tqdm(
+        total=config.steps, disable=arguments.quiet, desc=f"{arguments.shape} {config.condition}: compiling, scene", unit="step"
+    ) as bar:
+
         def progress(step: int, text: str) -> None:
             bar.set_description(f"{arguments.shape} {config.condition}: {text}", refresh=False)
             bar.update(step - bar.n)
 
         try:
-            record = run_config(config, results=arguments.results, progress=progress, device=arguments.device, again=arguments.again)
+            record = run_config(
+                config, results=arguments.results, progress=progress, device=arguments.device, again=arguments.again
+            )
         except TrainingError as error:
             raise InputError(str(error)) from error
     summary(record)
@@ -84,8 +103,14 @@ def summary(record: dict) -> None:
     tails, images, dimension = record["tails"], record["images"], record["mesh"]["dimension"]
     parts = [f"{record['config']['shape']} {record['config']['condition']} seed {record['config']['seed']}"]
     if tails:
-        parts += [f"tail bottleneck H{dimension} {tails['bottleneck'][dimension]:.4f}", f"counts {tuple(tails['counts'])}",
-                  f"Chamfer {100 * tails['chamfer']:.3f} %"]
-    parts += [f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}", f"{record['soup']['triangles']} triangles",
-              f"{record['cpu_seconds']:.0f} s of CPU"]
+        parts += [
+            f"tail bottleneck H{dimension} {tails['bottleneck'][dimension]:.4f}",
+            f"counts {tuple(tails['counts'])}",
+            f"Chamfer {100 * tails['chamfer']:.3f} %",
+        ]
+    parts += [
+        f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}",
+        f"{record['soup']['triangles']} triangles",
+        f"{record['cpu_seconds']:.0f} s of CPU",
+    ]
     print("; ".join(parts))

@@ -57,4 +57,3 @@ def longest_bars(bars: np.ndarray, floor: float, at_least: int = 8, at_most: int
 def bottlenecks(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> tuple[float, float, float]:
     """Return the bottleneck distance per dimension of two diagrams (finite bars)."""
     return tuple(bottleneck(left, right) for left, right in zip(a, b, strict=True))
-

@@ -30,8 +30,23 @@ DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a
 
 # The dimension each study shape is judged in (Table 1, Table 2, Tables S2 and S10): a decision of the paper's, not of β alone.
 DISCRIMINATING = {
-    "sphere": 2, "cube": 2, "cylinder": 2, "torus": 1, "two_spheres": 0, "double_torus": 1, "bowl_narrow": 2, "bowl_wide": 2,
-    "spot": 2, "fandisk": 2, "armadillo": 2, "horse": 2, "pot": 2, "tom_yum_pot": 2, "bob": 1, "rocker-arm": 1, "eight": 1,
+    "sphere": 2,
+    "cube": 2,
+    "cylinder": 2,
+    "torus": 1,
+    "two_spheres": 0,
+    "double_torus": 1,
+    "bowl_narrow": 2,
+    "bowl_wide": 2,
+    "spot": 2,
+    "fandisk": 2,
+    "armadillo": 2,
+    "horse": 2,
+    "pot": 2,
+    "tom_yum_pot": 2,
+    "bob": 1,
+    "rocker-arm": 1,
+    "eight": 1,
 }
 
 
@@ -57,8 +72,9 @@ class Target:
         return significant_counts(self.diagram, self.floor)
 
 
-def make_target(mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None,
-                cache: Path | None = TARGETS) -> Target:
+def make_target(
+    mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None, cache: Path | None = TARGETS
+) -> Target:
     """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
 
     dimension: the discriminating one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.

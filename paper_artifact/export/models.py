@@ -41,14 +41,23 @@ def srgb_to_linear(colours: np.ndarray) -> np.ndarray:
 def _trimesh(triangles: Triangles, colours: np.ndarray, opacity: np.ndarray) -> trimesh.Trimesh:
     corners = len(triangles) * 3
     rgba = np.concatenate([colours.reshape(-1, 3), opacity.reshape(-1, 1)], axis=1)
-    return trimesh.Trimesh(triangles.vertices.reshape(-1, 3), np.arange(corners).reshape(-1, 3),
-                           vertex_colors=np.rint(rgba * 255).astype(np.uint8), process=False)
+    return trimesh.Trimesh(
+        triangles.vertices.reshape(-1, 3),
+        np.arange(corners).reshape(-1, 3),
+        vertex_colors=np.rint(rgba * 255).astype(np.uint8),
+        process=False,
+    )
 
 
 def _unlit(tree: dict) -> None:
     """Give every primitive one unlit, double-sided material: a soup has no inside, and its colours hold their light."""
-    tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True,
-                          "extensions": {"KHR_materials_unlit": {}}}]
+    tree["materials"] = [
+        {
+            "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+            "doubleSided": True,
+            "extensions": {"KHR_materials_unlit": {}},
+        }
+    ]
     tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_unlit"})
     for mesh in tree["meshes"]:
         for primitive in mesh["primitives"]:

@@ -24,9 +24,18 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
     cameras = fibonacci_cameras(cloud, count, size)
     matrices = np.stack([world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]).astype(np.float32)
-    scene = Scene(Path(), tuple(f"view {i}" for i in range(count)), np.ones((count, size, size, 3), dtype=np.float32), matrices,
-                  np.stack([camera.position for camera in cameras]).astype(np.float32), np.ones(3, dtype=np.float32),
-                  np.zeros((0, 3), dtype=np.float32), np.arange(count), np.arange(0), cloud.radius)
+    scene = Scene(
+        Path(),
+        tuple(f"view {i}" for i in range(count)),
+        np.ones((count, size, size, 3), dtype=np.float32),
+        matrices,
+        np.stack([camera.position for camera in cameras]).astype(np.float32),
+        np.ones(3, dtype=np.float32),
+        np.zeros((0, 3), dtype=np.float32),
+        np.arange(count),
+        np.arange(0),
+        cloud.radius,
+    )
     return list(render_views(soup, scene, np.arange(count)))
 
 

@@ -43,8 +43,15 @@ def html_page(parts: Mapping[str, Triangles], title: str) -> str:
     data = {
         "centre": [float(x) for x in (low + high) / 2],
         "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
-        "parts": [{"name": name, "count": len(triangles), "positions": _base64(triangles.vertices.astype("<f4")),
-                   "colours": _base64(np.rint(triangles.colours * 255).astype(np.uint8))} for name, triangles in shown.items()],
+        "parts": [
+            {
+                "name": name,
+                "count": len(triangles),
+                "positions": _base64(triangles.vertices.astype("<f4")),
+                "colours": _base64(np.rint(triangles.colours * 255).astype(np.uint8)),
+            }
+            for name, triangles in shown.items()
+        ],
     }
     # "<" escaped: no name can end the script element.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -41,7 +41,9 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: fl
     margin = band + 2 * cell
     shape = np.ceil((high - low + 2 * margin) / cell).astype(np.int64) + 1
     if float(np.prod(shape.astype(np.float64))) > MOST_POINTS:
-        raise InputError(f"the grid would have {' × '.join(map(str, shape))} points; take a larger offset or fewer cells per offset")
+        raise InputError(
+            f"the grid would have {' × '.join(map(str, shape))} points; take a larger offset or fewer cells per offset"
+        )
     # A fraction of a cell that no symmetric model repeats, so that faces rarely fall on grid planes.
     origin = low - margin - cell * np.array([0.137, 0.291, 0.419])
     values = np.full(tuple(shape + 1), band, dtype=np.float32)

@@ -55,11 +55,16 @@ def raw_pot() -> RawPot:
     shells = [
         _revolve([(FLOOR_RADIUS, 0.0), (0.265, 0.055), (0.31, 0.11), (0.355, 0.165), (RIM_RADIUS, RIM_HEIGHT)], AROUND),
         _revolve([(FLOOR_RADIUS, 0.0), (0.16, 0.0), (0.10, 0.0), (0.05, 0.0)], AROUND),
-        _revolve([(FLOOR_RADIUS, 0.0), (0.223, -0.03), (0.227, -0.066), (0.23, -FOOT_DEPTH)], AROUND, leave_out={(1, 14), (1, 15), (1, 16)}),
+        _revolve(
+            [(FLOOR_RADIUS, 0.0), (0.223, -0.03), (0.227, -0.066), (0.23, -FOOT_DEPTH)],
+            AROUND,
+            leave_out={(1, 14), (1, 15), (1, 16)},
+        ),
         _revolve([(FLUE_RADIUS, 0.0), (FLUE_RADIUS, FLUE_HEIGHT / 2), (FLUE_RADIUS, FLUE_HEIGHT)], SIDES),
         _revolve([(FLUE_RADIUS, FLUE_HEIGHT), (MOUTH_RADIUS, SHOULDER_HEIGHT), (MOUTH_RADIUS, NECK_HEIGHT)], SIDES),
         (_ring(FLUE_RADIUS, 0.0, SIDES), [tuple(range(SIDES))]),
-        _handle(0.0), _handle(np.pi),
+        _handle(0.0),
+        _handle(np.pi),
         _revolve([(RIM_RADIUS, RIM_HEIGHT), (0.425, 0.21), (0.415, 0.175), (0.355, 0.165)], AROUND),
     ]
     vertices, polygons, owner = [], [], []
@@ -84,8 +89,12 @@ def _ring(radius: float, height: float, count: int) -> np.ndarray:
 def _revolve(profile: list[tuple[float, float]], count: int, leave_out: set[tuple[int, int]] = frozenset()):
     """Quads between the rings of a (radius, height) profile around the z axis; leave_out: (band, segment) without a quad."""
     points = np.concatenate([_ring(radius, height, count) for radius, height in profile])
-    faces = [(b * count + i, b * count + (i + 1) % count, (b + 1) * count + (i + 1) % count, (b + 1) * count + i)
-             for b in range(len(profile) - 1) for i in range(count) if (b, i) not in leave_out]
+    faces = [
+        (b * count + i, b * count + (i + 1) % count, (b + 1) * count + (i + 1) % count, (b + 1) * count + i)
+        for b in range(len(profile) - 1)
+        for i in range(count)
+        if (b, i) not in leave_out
+    ]
     return points, faces
 
 
@@ -100,8 +109,12 @@ def _handle(direction: float):
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     up = np.array([0.0, 0.0, 1.0])
     turn = 2 * np.pi * np.arange(SIDES) / SIDES
-    points = np.concatenate([p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up))
-                             for p, t in zip(path, tangent)])
-    faces = [(b * SIDES + i, b * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + i)
-             for b in range(len(path) - 1) for i in range(SIDES)]
+    points = np.concatenate(
+        [p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up)) for p, t in zip(path, tangent)]
+    )
+    faces = [
+        (b * SIDES + i, b * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + i)
+        for b in range(len(path) - 1)
+        for i in range(SIDES)
+    ]
     return points, faces + [tuple(range(SIDES))]

@@ -21,12 +21,18 @@ def inventory(pot: RawPot, solid: Solid) -> list[tuple[str, str]]:
     sizes, times = np.unique([len(polygon) for polygon in pot.polygons], return_counts=True)
     raw, shell = solid.raw, solid.certificate
     return [
-        (f"raw export ({len(pot.vertices)} vertices): {shells_as_indexed(pot)} open shells; faces by corners: "
-         + ", ".join(f"{t} of {s}" for s, t in zip(sizes.tolist(), times.tolist())),
-         f"{raw.open_edges_as_indexed} open edges as indexed; after the exact weld {raw.open_edges} open edges and "
-         f"{raw.nonmanifold_edges} non-manifold junction edges: certificate {raw.verdict}, no inside, β of the raw complex {raw.betti}"),
-        (f"offset solidification at ε = {solid.offset:.4g} (cell {solid.cell:.4g}, grid {' × '.join(map(str, solid.grid))})",
-         f"{solid.pockets} enclosed pockets dropped; {len(shell.components)} closed body of {shell.vertices} vertices and {shell.faces} triangles"),
-        ("topology known by certificate only",
-         f"{shell.verdict}: genus {shell.genus}, β = {shell.betti}, Euler characteristic {shell.euler}, sha256 {solid.sha256[:16]}…"),
+        (
+            f"raw export ({len(pot.vertices)} vertices): {shells_as_indexed(pot)} open shells; faces by corners: "
+            + ", ".join(f"{t} of {s}" for s, t in zip(sizes.tolist(), times.tolist())),
+            f"{raw.open_edges_as_indexed} open edges as indexed; after the exact weld {raw.open_edges} open edges and "
+            f"{raw.nonmanifold_edges} non-manifold junction edges: certificate {raw.verdict}, no inside, β of the raw complex {raw.betti}",
+        ),
+        (
+            f"offset solidification at ε = {solid.offset:.4g} (cell {solid.cell:.4g}, grid {' × '.join(map(str, solid.grid))})",
+            f"{solid.pockets} enclosed pockets dropped; {len(shell.components)} closed body of {shell.vertices} vertices and {shell.faces} triangles",
+        ),
+        (
+            "topology known by certificate only",
+            f"{shell.verdict}: genus {shell.genus}, β = {shell.betti}, Euler characteristic {shell.euler}, sha256 {solid.sha256[:16]}…",
+        ),
     ]

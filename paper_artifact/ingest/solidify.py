@@ -48,8 +48,16 @@ class Solid:
 
     def to_json(self) -> dict:
         """Return a JSON-able dict: both certificates, ε, spacing, grid, pockets and the shell's hash."""
-        return {"shell": self.shell.name, "sha256": self.sha256, "offset": self.offset, "cell": self.cell, "grid": list(self.grid),
-                "pockets_dropped": self.pockets, "raw": self.raw.to_json(), "certificate": self.certificate.to_json()}
+        return {
+            "shell": self.shell.name,
+            "sha256": self.sha256,
+            "offset": self.offset,
+            "cell": self.cell,
+            "grid": list(self.grid),
+            "pockets_dropped": self.pockets,
+            "raw": self.raw.to_json(),
+            "certificate": self.certificate.to_json(),
+        }
 
 
 def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
@@ -68,8 +76,10 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     cell = epsilon / cells
     farthest = float(np.abs(vertices).max())
     if farthest * np.finfo(np.float32).eps > FAR * cell:
-        raise InputError(f"{mesh.name} lies too far from the origin (coordinates up to {farthest:.3g}, cells of {cell:.3g}) for the shell's float32 "
-                         "points; move it towards the origin first")
+        raise InputError(
+            f"{mesh.name} lies too far from the origin (coordinates up to {farthest:.3g}, cells of {cell:.3g}) for the shell's float32 "
+            "points; move it towards the origin first"
+        )
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
     points, triangles, _, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")

@@ -41,8 +41,10 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
         if not np.array_equal(np.unique(again.vertices, axis=0), np.unique(shell.vertices, axis=0)):
             raise InputError(f"{path} would not hold the shell's points exactly; write PLY instead")
         if not certificate.passed:
-            raise InputError(f"the shell fails its certificate ({'; '.join(certificate.reasons)}), so {path} was not written; "
-                             "try another offset or more cells per offset")
+            raise InputError(
+                f"the shell fails its certificate ({'; '.join(certificate.reasons)}), so {path} was not written; "
+                "try another offset or more cells per offset"
+            )
     return certificate
 
 

@@ -1,10 +1,10 @@
 """Backward kernels on the CPU that belong to visibility: the edge gradient (vertices) and the opacity gradient.
 
-Edge gradient (DRTK's EdgeGrad as DiffSoup extends it, `notes/diffsoup.md`): for each pair of neighbouring pixels with adjoint
-a = sum over channels of ½(g0 + g1)(c0 - c1), a pull g in NDC acts at a point m of a triangle. With mu_i = lambda_i / w_i (affine in
-pixels) its effect on the clip-space corners is d xyz_i += g·mu_i(m), d w_i -= (g·m_ndc)·mu_i(m), whatever the kind of edge: so
-each pull only adds to twelve moments of its triangle (sums of g and of s = g·m_ndc, times 1, column, row), and the corners are served once
-per triangle at the end.
+Edge gradient (DRTK's EdgeGrad as DiffSoup extends it): for each pair of neighbouring pixels with adjoint
+a = sum over channels of ½(g0 + g1)(c0 - c1), a pull g in NDC acts at a point m of a triangle. With mu_i = lambda_i / w_i (affine
+in pixels) its effect on the clip-space corners is d xyz_i += g·mu_i(m), d w_i -= (g·m_ndc)·mu_i(m), whatever the kind of edge: so
+each pull only adds to twelve moments of its triangle (sums of g and of s = g·m_ndc, times 1, column, row), and the corners are
+served once per triangle at the end.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ def _pull(moments, rectangles, t, column, row, gx, gy, gz, z, sx, sy):
 
 @numba.njit(inline="always")
 def _evaluate(coefficients, rectangles, t, first, column, row):
-    return (coefficients[t, first] + coefficients[t, first + 1] * np.float32(column - rectangles[t, 2])
-            + coefficients[t, first + 2] * np.float32(row - rectangles[t, 0]))
+    return (
+        coefficients[t, first]
+        + coefficients[t, first + 1] * np.float32(column - rectangles[t, 2])
+        + coefficients[t, first + 2] * np.float32(row - rectangles[t, 0])
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -47,9 +50,11 @@ def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1,
     if q0 >= 0 and q1 >= 0 and q2 >= 0:
         middle_column, middle_row = 0.5 * (column0 + column1), 0.5 * (row0 + row1)
         if t1 >= 0 and depth1 < _evaluate(coefficients, rectangles, t0, 9, column1, row1):
-            inside = (_evaluate(coefficients, rectangles, t1, 0, column0, row0) >= 0
-                      and _evaluate(coefficients, rectangles, t1, 3, column0, row0) >= 0
-                      and _evaluate(coefficients, rectangles, t1, 6, column0, row0) >= 0)
+            inside = (
+                _evaluate(coefficients, rectangles, t1, 0, column0, row0) >= 0
+                and _evaluate(coefficients, rectangles, t1, 3, column0, row0) >= 0
+                and _evaluate(coefficients, rectangles, t1, 6, column0, row0) >= 0
+            )
             if inside and depth0 < _evaluate(coefficients, rectangles, t1, 9, column0, row0):
                 # Intersection edge. The normals are (-slope, 1) of each depth plane in the x-z (or y-z) plane, NDC.
                 axis = 10 if row0 == row1 else 11
@@ -59,8 +64,11 @@ def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1,
                 if abs(difference) > 1e-12 * np.sqrt((1.0 + vary * vary) * (1.0 + fixed * fixed)):
                     pull = gx if row0 == row1 else gy
                     along, depth_pull = pull * vary / difference, -pull / difference
-                    z = (coefficients[t0, 9] + coefficients[t0, 10] * (middle_column - rectangles[t0, 2])
-                         + coefficients[t0, 11] * (middle_row - rectangles[t0, 0]))
+                    z = (
+                        coefficients[t0, 9]
+                        + coefficients[t0, 10] * (middle_column - rectangles[t0, 2])
+                        + coefficients[t0, 11] * (middle_row - rectangles[t0, 0])
+                    )
                     if row0 == row1:
                         _pull(moments, rectangles, t0, middle_column, middle_row, along, 0.0, depth_pull, z, sx, sy)
                     else:
@@ -80,8 +88,19 @@ def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1,
         if q2 < 0:
             crossing = min(crossing, p / (p - q2))
         crossing = max(crossing, 0.0)
-        _pull(moments, rectangles, t0, column0 + crossing * (column1 - column0), row0 + crossing * (row1 - row0),
-              gx, gy, 0.0, 0.0, sx, sy)
+        _pull(
+            moments,
+            rectangles,
+            t0,
+            column0 + crossing * (column1 - column0),
+            row0 + crossing * (row1 - row0),
+            gx,
+            gy,
+            0.0,
+            0.0,
+            sx,
+            sy,
+        )
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
@@ -89,9 +108,11 @@ def _adjoints(c0, c1, c2, g0, g1, g2, start, offset, count, out):
     # out[k] = ½ sum over channels of (g[p] + g[q])(c[p] - c[q]) with p = start + k, q = p + offset.
     for k in range(count):
         p = start + k
-        out[k] = np.float32(0.5) * ((g0[p] + g0[p + offset]) * (c0[p] - c0[p + offset])
-                                    + (g1[p] + g1[p + offset]) * (c1[p] - c1[p + offset])
-                                    + (g2[p] + g2[p + offset]) * (c2[p] - c2[p + offset]))
+        out[k] = np.float32(0.5) * (
+            (g0[p] + g0[p + offset]) * (c0[p] - c0[p + offset])
+            + (g1[p] + g1[p + offset]) * (c1[p] - c1[p + offset])
+            + (g2[p] + g2[p + offset]) * (c2[p] - c2[p + offset])
+        )
 
 
 @numba.njit(inline="always")
@@ -116,9 +137,9 @@ def _flush(moments, rectangles, t, row, right0, right1, right2, down0, down1, sx
 def edge_moments(triangle, depth, colour, gradient, height, width, coefficients, rectangles, moments):
     """Add every pixel pair's pull to moments (T,12) float64 (zeroed by the caller).
 
-    triangle (H·W,) int32 (-1: nothing), depth (H·W,) float32 NDC, colour and gradient (3,H·W) float32. The same signed pull serves
-    both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts twice, and the
-    pairs of a run along a row are summed before they are added.
+    triangle (H·W,) int32 (-1: nothing), depth (H·W,) float32 NDC, colour and gradient (3,H·W) float32. The same signed pull
+    serves both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts twice,
+    and the pairs of a run along a row are summed before they are added.
     """
     sx, sy = 2.0 / width, 2.0 / height
     to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -151,11 +172,41 @@ def edge_moments(triangle, depth, colour, gradient, height, width, coefficients,
                         right2 += 2 * gx * x * x
                 else:
                     if tp >= 0:
-                        _edge_side(coefficients, rectangles, moments, tp, column, row, depth[p], tq, column + 1, row, depth[p + 1],
-                                   gx, 0.0, sx, sy)
+                        _edge_side(
+                            coefficients,
+                            rectangles,
+                            moments,
+                            tp,
+                            column,
+                            row,
+                            depth[p],
+                            tq,
+                            column + 1,
+                            row,
+                            depth[p + 1],
+                            gx,
+                            0.0,
+                            sx,
+                            sy,
+                        )
                     if tq >= 0:
-                        _edge_side(coefficients, rectangles, moments, tq, column + 1, row, depth[p + 1], tp, column, row, depth[p],
-                                   gx, 0.0, sx, sy)
+                        _edge_side(
+                            coefficients,
+                            rectangles,
+                            moments,
+                            tq,
+                            column + 1,
+                            row,
+                            depth[p + 1],
+                            tp,
+                            column,
+                            row,
+                            depth[p],
+                            gx,
+                            0.0,
+                            sx,
+                            sy,
+                        )
             if downward[column] != 0:
                 gy = downward[column] / sy
                 q = p + width
@@ -166,11 +217,41 @@ def edge_moments(triangle, depth, colour, gradient, height, width, coefficients,
                         down1 += 2 * gy * (column - rectangles[tp, 2])
                 else:
                     if tp >= 0:
-                        _edge_side(coefficients, rectangles, moments, tp, column, row, depth[p], tq, column, row + 1, depth[q],
-                                   0.0, gy, sx, sy)
+                        _edge_side(
+                            coefficients,
+                            rectangles,
+                            moments,
+                            tp,
+                            column,
+                            row,
+                            depth[p],
+                            tq,
+                            column,
+                            row + 1,
+                            depth[q],
+                            0.0,
+                            gy,
+                            sx,
+                            sy,
+                        )
                     if tq >= 0:
-                        _edge_side(coefficients, rectangles, moments, tq, column, row + 1, depth[q], tp, column, row, depth[p],
-                                   0.0, gy, sx, sy)
+                        _edge_side(
+                            coefficients,
+                            rectangles,
+                            moments,
+                            tq,
+                            column,
+                            row + 1,
+                            depth[q],
+                            tp,
+                            column,
+                            row,
+                            depth[p],
+                            0.0,
+                            gy,
+                            sx,
+                            sy,
+                        )
         if current >= 0:
             _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
 
@@ -188,23 +269,27 @@ def moments_to_vertices(moments, coefficients, rectangles, matrix, vertex_gradie
             gz = a * moments[t, 6] + b * moments[t, 7] + c * moments[t, 8]
             gw = -(a * moments[t, 9] + b * moments[t, 10] + c * moments[t, 11])
             for axis in range(3):
-                vertex_gradient[t, corner, axis] += (matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz
-                                                     + matrix[3, axis] * gw)
+                vertex_gradient[t, corner, axis] += (
+                    matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
+                )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def opacity_backward(fragments, fragment_index, fragment_value, visible, depth, colour, target, weight, opacity_gradient):
-    """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup path 2, `notes/diffsoup.md`).
+    """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
 
-    With e = sum over channels of |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every other
-    fragment in front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
+    With e = sum over channels of |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every
+    other fragment in front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
     """
     for number in range(fragments):
         pixel, t = fragment_index[number, 0], fragment_index[number, 1]
         if fragment_value[number, 2] > depth[pixel]:
             continue
-        error = (abs(colour[0, pixel] - target[0, pixel]) + abs(colour[1, pixel] - target[1, pixel])
-                 + abs(colour[2, pixel] - target[2, pixel]))
+        error = (
+            abs(colour[0, pixel] - target[0, pixel])
+            + abs(colour[1, pixel] - target[1, pixel])
+            + abs(colour[2, pixel] - target[2, pixel])
+        )
         if error == 0:
             continue
         alpha = fragment_value[number, 3]

@@ -2,8 +2,8 @@
 
 A step reads: raster = rasterize(...); colour = shade(...); aux = opacity_gradient(...); colour = edge_gradient(...); loss =
 photometric_loss(...) + aux. All tensors are float32 on the CPU, images planar (B,3,H,W) in [0,1]; vertices (T,3,3) are world
-positions of the corners that each triangle owns. `paper_artifact.raster.twin` has the same functions in plain torch (any float dtype,
-any device): the tests hold these to that.
+positions of the corners that each triangle owns. `paper_artifact.raster.twin` has the same functions in plain torch (any float
+dtype, any device): the tests hold these to that.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class Raster:
 def camera_rays(world_to_clip: np.ndarray) -> np.ndarray:
     """Return (…,3,3) float32 rows (r0, rx, ry): r0 + rx·ndc_x + ry·ndc_y points from the surface to the camera (world, not unit).
 
-    Follows from clip rows x, y, w of world_to_clip (…,4,4): at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x, ndc_y, 1).
+    Follows from clip rows x, y, w of world_to_clip (…,4,4): at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x,
+    ndc_y, 1).
     """
     inverse = -np.linalg.inv(np.asarray(world_to_clip, np.float64)[..., [0, 1, 3], :3])
     return np.ascontiguousarray(np.stack([inverse[..., 2], inverse[..., 0], inverse[..., 1]], -2), np.float32)
@@ -72,8 +73,15 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().numpy(), np.float32)
 
 
-def rasterize(vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: np.ndarray, height: int, width: int,
-              keys: list[int] | None, buffers: RasterBuffers | None = None) -> Raster:
+def rasterize(
+    vertices: torch.Tensor,
+    opacity: torch.Tensor,
+    world_to_clip: np.ndarray,
+    height: int,
+    width: int,
+    keys: list[int] | None,
+    buffers: RasterBuffers | None = None,
+) -> Raster:
     """Raster the soup into every view; not differentiable itself.
 
     vertices (T,3,3) float32 world, opacity (T,3) float32 in [0,1], world_to_clip (B,4,4); keys: one draw key per view
@@ -104,8 +112,19 @@ class _Shade(torch.autograd.Function):
         def job(index: int) -> None:
             view = raster.views[index]
             blocks = -(-view.covered // shading.BLOCK)
-            shading.shade_forward(view.pixels, view.covered, view.visible, view.fragment_index, view.fragment_value, raster.width,
-                                  raster.height, raster.rays[index], *arrays, raster.buffers.activations(index, blocks), colour[index])
+            shading.shade_forward(
+                view.pixels,
+                view.covered,
+                view.visible,
+                view.fragment_index,
+                view.fragment_value,
+                raster.width,
+                raster.height,
+                raster.rays[index],
+                *arrays,
+                raster.buffers.activations(index, blocks),
+                colour[index],
+            )
 
         for index in range(len(raster.views)):
             raster.buffers.activations(index, 0)  # make the slots here: jobs may run on several threads
@@ -122,8 +141,19 @@ class _Shade(torch.autograd.Function):
 
         def job(index: int) -> None:
             view = raster.views[index]
-            shading.shade_backward(view.pixels, view.covered, view.visible, view.fragment_index, view.fragment_value, w1, w2, w3,
-                                   raster.buffers.activations(index, 0), incoming[index], *(output[index] for output in outputs))
+            shading.shade_backward(
+                view.pixels,
+                view.covered,
+                view.visible,
+                view.fragment_index,
+                view.fragment_value,
+                w1,
+                w2,
+                w3,
+                raster.buffers.activations(index, 0),
+                incoming[index],
+                *(output[index] for output in outputs),
+            )
 
         run_jobs(job, len(raster.views))
         return (*(torch.from_numpy(output.sum(0)) for output in outputs), None, None)
@@ -153,8 +183,17 @@ class _EdgeGradient(torch.autograd.Function):
         def job(index: int) -> None:
             view = raster.views[index]
             moments = np.zeros((raster.triangles, 12), np.float64)
-            edges.edge_moments(view.triangle, view.depth, colour[index], incoming[index], raster.height, raster.width,
-                               view.coefficients, view.rectangles, moments)
+            edges.edge_moments(
+                view.triangle,
+                view.depth,
+                colour[index],
+                incoming[index],
+                raster.height,
+                raster.width,
+                view.coefficients,
+                view.rectangles,
+                moments,
+            )
             edges.moments_to_vertices(moments, view.coefficients, view.rectangles, raster.world_to_clip[index], out[index])
 
         run_jobs(job, len(raster.views))
@@ -176,8 +215,17 @@ class _OpacityGradient(torch.autograd.Function):
 
         def job(index: int) -> None:
             view = raster.views[index]
-            edges.opacity_backward(view.fragments, view.fragment_index, view.fragment_value, view.visible, view.depth, shown[index],
-                                   wanted[index], weight, out[index])
+            edges.opacity_backward(
+                view.fragments,
+                view.fragment_index,
+                view.fragment_value,
+                view.visible,
+                view.depth,
+                shown[index],
+                wanted[index],
+                weight,
+                out[index],
+            )
 
         run_jobs(job, len(raster.views))
         ctx.gradient = torch.from_numpy(out.sum(0))
@@ -189,7 +237,8 @@ class _OpacityGradient(torch.autograd.Function):
 
 
 def opacity_gradient(opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster) -> torch.Tensor:
-    """Return a scalar 0 whose backward gives opacity (T,3) the masking gradient; colour and target (B,3,H,W) are not differentiated."""
+    """Return a scalar 0 whose backward gives opacity (T,3) the masking gradient; colour and target (B,3,H,W) are not
+    differentiated."""
     return _OpacityGradient.apply(opacity, colour.detach(), target, raster)
 
 
@@ -210,7 +259,9 @@ class _Photometric(torch.autograd.Function):
         gradient = np.empty_like(shown)
 
         def job(index: int) -> float:
-            return photometric.photometric_view(shown[index], wanted[index], mean[index], square[index], len(shown), gradient[index])
+            return photometric.photometric_view(
+                shown[index], wanted[index], mean[index], square[index], len(shown), gradient[index]
+            )
 
         values = run_jobs(job, len(shown))
         ctx.gradient = torch.from_numpy(gradient)
@@ -221,8 +272,9 @@ class _Photometric(torch.autograd.Function):
         return gradient * ctx.gradient, None, None, None
 
 
-def photometric_loss(colour: torch.Tensor, target: torch.Tensor,
-                     statistics: tuple[np.ndarray, np.ndarray] | None = None) -> torch.Tensor:
+def photometric_loss(
+    colour: torch.Tensor, target: torch.Tensor, statistics: tuple[np.ndarray, np.ndarray] | None = None
+) -> torch.Tensor:
     """Return .8·mean|target - colour| + .2·½(1 - SSIM) over (B,3,H,W); statistics: `target_statistics(target)`, when at hand."""
     mean, square = statistics if statistics is not None else target_statistics(target)
     return _Photometric.apply(colour, target, mean, square)

@@ -18,7 +18,8 @@ from paper_artifact.raster.visibility import ViewRaster, to_clip
 
 @dataclass(frozen=True)
 class Gradients:
-    """dL/d of corner positions (T,3,3) world, corner features (T,3,7) and opacity (T,3) after the sigmoid, and the six MLP arrays."""
+    """dL/d of corner positions (T,3,3) world, corner features (T,3,7) and opacity (T,3) after the sigmoid, and the six MLP
+    arrays."""
 
     vertices: np.ndarray
     features: np.ndarray
@@ -54,13 +55,23 @@ class FusedStep:
             array.fill(0.0)
         return views
 
-    def __call__(self, vertices: np.ndarray, features: np.ndarray, opacity: np.ndarray, mlp: tuple[np.ndarray, ...], matrices: np.ndarray,
-                 rays: np.ndarray, targets: list[np.ndarray], statistics: list[tuple[np.ndarray, np.ndarray]], keys: list[int]
-                 ) -> tuple[float, Gradients]:
+    def __call__(
+        self,
+        vertices: np.ndarray,
+        features: np.ndarray,
+        opacity: np.ndarray,
+        mlp: tuple[np.ndarray, ...],
+        matrices: np.ndarray,
+        rays: np.ndarray,
+        targets: list[np.ndarray],
+        statistics: list[tuple[np.ndarray, np.ndarray]],
+        keys: list[int],
+    ) -> tuple[float, Gradients]:
         """Return the loss of the batch and its gradients, the opacity gradient included.
 
-        vertices (T,3,3) world, features (T,3,7) and opacity (T,3) in [0,1], mlp as `functions.shade` (all float32); per view matrices
-        (B,4,4), rays (B,3,3) (`functions.camera_rays`), targets (3,H,W), statistics (`functions.target_statistics`), draw keys.
+        vertices (T,3,3) world, features (T,3,7) and opacity (T,3) in [0,1], mlp as `functions.shade` (all float32); per view
+        matrices (B,4,4), rays (B,3,3) (`functions.camera_rays`), targets (3,H,W), statistics (`functions.target_statistics`),
+        draw keys.
         """
         count, triangles = len(keys), len(vertices)
         corners = np.ascontiguousarray(vertices.reshape(-1, 3))
@@ -77,19 +88,58 @@ class FusedStep:
             view = space.raster.draw(to_clip(corners, matrices[index]), faces, opacity, keys[index])
             fragments = (view.visible, view.fragment_index, view.fragment_value)
             space.colour[:] = self._background
-            shading.shade_forward(view.pixels, view.covered, *fragments, self.width, self.height, rays[index], features, *mlp,
-                                  space.activations, space.colour)
-            loss = photometric.photometric_view(space.colour.reshape(3, self.height, self.width), targets[index], *statistics[index],
-                                                count, space.gradient)
+            shading.shade_forward(
+                view.pixels,
+                view.covered,
+                *fragments,
+                self.width,
+                self.height,
+                rays[index],
+                features,
+                *mlp,
+                space.activations,
+                space.colour,
+            )
+            loss = photometric.photometric_view(
+                space.colour.reshape(3, self.height, self.width), targets[index], *statistics[index], count, space.gradient
+            )
             gradient = space.gradient.reshape(3, -1)
-            edges.opacity_backward(view.fragments, view.fragment_index, view.fragment_value, view.visible, view.depth, space.colour,
-                                   targets[index].reshape(3, -1), weight, out[2][index])
+            edges.opacity_backward(
+                view.fragments,
+                view.fragment_index,
+                view.fragment_value,
+                view.visible,
+                view.depth,
+                space.colour,
+                targets[index].reshape(3, -1),
+                weight,
+                out[2][index],
+            )
             moments = np.zeros((triangles, 12), np.float64)
-            edges.edge_moments(view.triangle, view.depth, space.colour, gradient, self.height, self.width, view.coefficients,
-                               view.rectangles, moments)
+            edges.edge_moments(
+                view.triangle,
+                view.depth,
+                space.colour,
+                gradient,
+                self.height,
+                self.width,
+                view.coefficients,
+                view.rectangles,
+                moments,
+            )
             edges.moments_to_vertices(moments, view.coefficients, view.rectangles, matrices[index], out[0][index])
-            shading.shade_backward(view.pixels, view.covered, *fragments, mlp[0], mlp[2], mlp[4], space.activations, gradient,
-                                   out[1][index], *(array[index] for array in out_mlp))
+            shading.shade_backward(
+                view.pixels,
+                view.covered,
+                *fragments,
+                mlp[0],
+                mlp[2],
+                mlp[4],
+                space.activations,
+                gradient,
+                out[1][index],
+                *(array[index] for array in out_mlp),
+            )
             self._free.put(space)
             return loss
 

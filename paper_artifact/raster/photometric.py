@@ -25,15 +25,27 @@ def _blur(source, out, scratch, rows, columns):
     for r in range(rows):
         s, d = source[r], scratch[r]
         for c in range(columns - 10):
-            d[c] = (_K5 * s[c + 5] + _K4 * (s[c + 4] + s[c + 6]) + _K3 * (s[c + 3] + s[c + 7]) + _K2 * (s[c + 2] + s[c + 8])
-                    + _K1 * (s[c + 1] + s[c + 9]) + _K0 * (s[c] + s[c + 10]))
+            d[c] = (
+                _K5 * s[c + 5]
+                + _K4 * (s[c + 4] + s[c + 6])
+                + _K3 * (s[c + 3] + s[c + 7])
+                + _K2 * (s[c + 2] + s[c + 8])
+                + _K1 * (s[c + 1] + s[c + 9])
+                + _K0 * (s[c] + s[c + 10])
+            )
     for r in range(rows - 10):
         d = out[r]
         s0, s1, s2, s3, s4, s5 = scratch[r], scratch[r + 1], scratch[r + 2], scratch[r + 3], scratch[r + 4], scratch[r + 5]
         s6, s7, s8, s9, s10 = scratch[r + 6], scratch[r + 7], scratch[r + 8], scratch[r + 9], scratch[r + 10]
         for c in range(columns - 10):
-            d[c] = (_K5 * s5[c] + _K4 * (s4[c] + s6[c]) + _K3 * (s3[c] + s7[c]) + _K2 * (s2[c] + s8[c])
-                    + _K1 * (s1[c] + s9[c]) + _K0 * (s0[c] + s10[c]))
+            d[c] = (
+                _K5 * s5[c]
+                + _K4 * (s4[c] + s6[c])
+                + _K3 * (s3[c] + s7[c])
+                + _K2 * (s2[c] + s8[c])
+                + _K1 * (s1[c] + s9[c])
+                + _K0 * (s0[c] + s10[c])
+            )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -125,9 +137,9 @@ def photometric_view(colour, target, mean, square, views, gradient):
     spread = np.empty((3, rows, columns), np.float32)
     loss = 0.0
     for channel in range(3):
-        x = colour[channel, top:top + rows, left:left + columns]
-        y = target[channel, top:top + rows, left:left + columns]
-        out = gradient[channel, top:top + rows, left:left + columns]
+        x = colour[channel, top : top + rows, left : left + columns]
+        y = target[channel, top : top + rows, left : left + columns]
+        out = gradient[channel, top : top + rows, left : left + columns]
         _blur(x, mean_x, scratch, rows, columns)
         for r in range(rows):
             for c in range(columns):
@@ -139,10 +151,11 @@ def photometric_view(colour, target, mean, square, views, gradient):
         _blur(product, cross, scratch, rows, columns)
         missing = 0.0
         for r in range(out_rows):
-            a, b, xx, xy = mean_x[r], mean[channel, top + r, left:left + out_columns], square_x[r], cross[r]
-            yy = square[channel, top + r, left:left + out_columns]
-            missing += _ssim_row(a, b, xx, yy, xy, padded[0, r + 10, 10:], padded[1, r + 10, 10:], padded[2, r + 10, 10:],
-                                 out_columns, ssim_scale)
+            a, b, xx, xy = mean_x[r], mean[channel, top + r, left : left + out_columns], square_x[r], cross[r]
+            yy = square[channel, top + r, left : left + out_columns]
+            missing += _ssim_row(
+                a, b, xx, yy, xy, padded[0, r + 10, 10:], padded[1, r + 10, 10:], padded[2, r + 10, 10:], out_columns, ssim_scale
+            )
         loss += 0.5 * SSIM_WEIGHT * missing / windows
         for k in range(3):
             _blur(padded[k], spread[k], scratch, rows + 10, columns + 10)

@@ -3,8 +3,8 @@
 Covered pixels are processed in blocks of `BLOCK`, one array row per quantity, so that every inner loop runs over
 consecutive pixels and vectorises. The forward keeps each block's activations; the backward walks them once.
 
-Shading (DiffSoup `multires.py`): x = [7 interpolated features, 9 real spherical harmonics of the unit direction from the surface to
-the camera]; y = sigmoid(w3·relu(w2·relu(w1·x + c1) + c2) + c3); colour = (1 - r)·x[0:3] + r·y with r = x[3].
+Shading (DiffSoup `multires.py`): x = [7 interpolated features, 9 real spherical harmonics of the unit direction from the surface
+to the camera]; y = sigmoid(w3·relu(w2·relu(w1·x + c1) + c2) + c3); colour = (1 - r)·x[0:3] + r·y with r = x[3].
 """
 
 from __future__ import annotations
@@ -57,8 +57,9 @@ def _affine(weights, bias, x, out, count, relu):
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _harmonics(pixels, start, count, width, height, rays, x, direction):
-    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame; direction (3,BLOCK) is
-    # scratch. Each loop writes one row: with more, LLVM gives up proving that they do not overlap and does not vectorise.
+    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame; direction
+    # (3,BLOCK) is scratch. Each loop writes one row: with more, LLVM gives up proving that they do not overlap and does not
+    # vectorise.
     sx, sy = np.float32(2.0 / width), np.float32(2.0 / height)
     inverse_width = np.float32(1.0 / width)
     u, v, norm = x[7], x[8], x[9]
@@ -104,8 +105,25 @@ def _harmonics(pixels, start, count, width, height, rays, x, direction):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def shade_forward(pixels, covered, visible, fragment_index, fragment_value, width, height, rays, features,
-                  w1, c1, w2, c2, w3, c3, activations, colour):
+def shade_forward(
+    pixels,
+    covered,
+    visible,
+    fragment_index,
+    fragment_value,
+    width,
+    height,
+    rays,
+    features,
+    w1,
+    c1,
+    w2,
+    c2,
+    w3,
+    c3,
+    activations,
+    colour,
+):
     """Shade the covered pixels of one view into colour (3, H·W) float32, which comes in filled with the background.
 
     features (T,3,7) float32 in [0,1]; rays (3,3) float32 (see `_harmonics`); weights as torch.nn.Linear has them.
@@ -183,8 +201,25 @@ def _transposed(weights, delta, out, count, rows):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def shade_backward(pixels, covered, visible, fragment_index, fragment_value, w1, w2, w3, activations, colour_gradient,
-                   feature_gradient, gw1, gc1, gw2, gc2, gw3, gc3):
+def shade_backward(
+    pixels,
+    covered,
+    visible,
+    fragment_index,
+    fragment_value,
+    w1,
+    w2,
+    w3,
+    activations,
+    colour_gradient,
+    feature_gradient,
+    gw1,
+    gc1,
+    gw2,
+    gc2,
+    gw3,
+    gc3,
+):
     """Accumulate dL/d(features, weights, biases) of one view from colour_gradient (3, H·W) float32; all outputs float32."""
     d3 = np.empty((3, BLOCK), np.float32)
     d2 = np.empty((HIDDEN, BLOCK), np.float32)

@@ -1,7 +1,7 @@
 """Running one job per view on a fixed number of threads.
 
-Jobs write only their own buffers and results are reduced in view order by the caller, so the number of threads changes the time and
-nothing else.
+Jobs write only their own buffers and results are reduced in view order by the caller, so the number of threads changes the time
+and nothing else.
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ def run_jobs(job: Callable[[int], object], count: int) -> list:
 def one_torch_thread() -> Iterator[None]:
     """Keep torch's own operations on one thread inside the block (also usable as a decorator).
 
-    torch cuts large tensors at other places for other thread counts, and the ends of the pieces round differently: bits would depend on
-    the machine. numba's thread layer, too, changes OpenMP's count for torch when something asks it how many threads it has.
+    torch cuts large tensors at other places for other thread counts, and the ends of the pieces round differently: bits would
+    depend on the machine. numba's thread layer, too, changes OpenMP's count for torch when something asks it how many threads it
+    has.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

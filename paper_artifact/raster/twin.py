@@ -15,8 +15,16 @@ import torch.nn.functional as functional
 from paper_artifact.errors import InputError
 from paper_artifact.raster.twin_visibility import Raster, corner_weights, pixel_centres, rasterize, to_clip
 
-__all__ = ["Raster", "edge_gradient", "opacity_gradient", "photometric_loss", "rasterize", "shade", "spherical_harmonics",
-           "view_directions"]
+__all__ = [
+    "Raster",
+    "edge_gradient",
+    "opacity_gradient",
+    "photometric_loss",
+    "rasterize",
+    "shade",
+    "spherical_harmonics",
+    "view_directions",
+]
 
 MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
@@ -44,12 +52,25 @@ def spherical_harmonics(direction: torch.Tensor) -> torch.Tensor:
     first = (3 / (4 * torch.pi)) ** 0.5
     second = (15 / (4 * torch.pi)) ** 0.5
     zonal = (5 / (16 * torch.pi)) ** 0.5
-    return torch.stack([constant, -first * y, first * z, -first * x, second * x * y, -second * y * z,
-                        zonal * (2 * z * z - x * x - y * y), -second * x * z, second / 2 * (x * x - y * y)], dim=-1)
+    return torch.stack(
+        [
+            constant,
+            -first * y,
+            first * z,
+            -first * x,
+            second * x * y,
+            -second * y * z,
+            zonal * (2 * z * z - x * x - y * y),
+            -second * x * z,
+            second / 2 * (x * x - y * y),
+        ],
+        dim=-1,
+    )
 
 
-def shade(features: torch.Tensor, mlp: MLP, raster: Raster, world_to_clip: torch.Tensor,
-          background: torch.Tensor) -> torch.Tensor:
+def shade(
+    features: torch.Tensor, mlp: MLP, raster: Raster, world_to_clip: torch.Tensor, background: torch.Tensor
+) -> torch.Tensor:
     """Return the planar colour image (B,3,H,W) of a raster; gradients flow to features and MLP by ordinary autograd.
 
     features (T,3,7) in [0, 1] per corner (after the sigmoid): base colour, blend r, three latent; mlp = (w1 (16,16), c1 (16),
@@ -151,6 +172,7 @@ def _crossing_motion(own: torch.Tensor, other: torch.Tensor, axis: torch.Tensor)
 
     own and other (N,3,4) are clip corners; where the planes are (nearly) parallel there, the motion is 0.
     """
+
     def normal(corners: torch.Tensor) -> torch.Tensor:
         ndc = corners[..., :3] / corners[..., 3:]
         direction = torch.linalg.cross(ndc[:, 1] - ndc[:, 0], ndc[:, 2] - ndc[:, 0])
@@ -179,8 +201,9 @@ def _border_crossing(own: torch.Tensor, weights_p: torch.Tensor, weights_q: torc
     return weights / (weights * own[..., 3]).sum(-1, keepdim=True), first
 
 
-def _vertex_gradient(colour: torch.Tensor, grad_colour: torch.Tensor, vertices: torch.Tensor, raster: Raster,
-                     world_to_clip: torch.Tensor) -> torch.Tensor:
+def _vertex_gradient(
+    colour: torch.Tensor, grad_colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, world_to_clip: torch.Tensor
+) -> torch.Tensor:
     """Return the edge gradient (T,3,3) in world space; see `edge_gradient`."""
     views, height, width = raster.triangle.shape
     p, q, step_x, step_y, adjoint = _pairs(colour, grad_colour, raster.triangle)
@@ -230,10 +253,12 @@ def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor
     image, mean over windows, channels and views. Raises InputError when the shapes differ or the image is below 11×11.
     """
     if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < 11:
-        raise InputError(f"colour and target must be (B,3,H,W) of equal shape with H, W >= 11, got {tuple(colour.shape)} "
-                         f"and {tuple(target.shape)}")
+        raise InputError(
+            f"colour and target must be (B,3,H,W) of equal shape with H, W >= 11, got {tuple(colour.shape)} "
+            f"and {tuple(target.shape)}"
+        )
     offsets = torch.arange(11, dtype=colour.dtype, device=colour.device) - 5
-    window = torch.exp(-offsets**2 / (2 * 1.5**2))
+    window = torch.exp(-(offsets**2) / (2 * 1.5**2))
     window = window / window.sum()
 
     def blur(image: torch.Tensor) -> torch.Tensor:

@@ -115,8 +115,9 @@ def _winners(slot: torch.Tensor, depth: torch.Tensor, triangle: torch.Tensor, sl
 
 
 @torch.no_grad()
-def rasterize(vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: torch.Tensor, height: int, width: int,
-              keys: list[int] | None) -> Raster:
+def rasterize(
+    vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: torch.Tensor, height: int, width: int, keys: list[int] | None
+) -> Raster:
     """Return the `Raster` of a soup in B views of height × width pixels.
 
     vertices (T,3,3) world space, every triangle owning its corners; opacity (T,3) in [0, 1] per corner; world_to_clip
@@ -128,8 +129,10 @@ def rasterize(vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: torc
     if vertices.dim() != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
         raise InputError(f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and {tuple(opacity.shape)}")
     if world_to_clip.dim() != 3 or world_to_clip.shape[1:] != (4, 4) or world_to_clip.dtype != vertices.dtype:
-        raise InputError(f"world_to_clip must be (B,4,4) of the vertices' dtype {vertices.dtype}, "
-                         f"got {tuple(world_to_clip.shape)} {world_to_clip.dtype}")
+        raise InputError(
+            f"world_to_clip must be (B,4,4) of the vertices' dtype {vertices.dtype}, "
+            f"got {tuple(world_to_clip.shape)} {world_to_clip.dtype}"
+        )
     views = world_to_clip.shape[0]
     if keys is not None and len(keys) != views:
         raise InputError(f"keys must hold one key per view, got {len(keys)} for {views} views")

@@ -6,7 +6,7 @@ Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2
 Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of its
 bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth. Perspective-correct
 barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano & Greer, "Triangle scan conversion using 2D
-homogeneous coordinates" (1997); fragment semantics: `notes/diffsoup.md`, DiffSoup (Tojo et al. 2026).
+homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo et al. 2026).
 
 Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of threads.
 """
@@ -102,8 +102,9 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def raster_fragments(order, kept, coefficients, rectangles, opacity, width, key, stochastic,
-                     depth, visible, fragment_index, fragment_value):
+def raster_fragments(
+    order, kept, coefficients, rectangles, opacity, width, key, stochastic, depth, visible, fragment_index, fragment_value
+):
     """Draw fragments front to back; return how many there were (more than the buffers hold: call again with larger ones).
 
     opacity (T,3) float32 in [0,1]. depth (H·W,) float32 must come in as +inf, visible (H·W,) int32 as -1; they go out as the
@@ -194,7 +195,9 @@ def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """
     clip = np.empty((len(corners), 4), np.float32)
     for row in range(4):
-        clip[:, row] = corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
+        clip[:, row] = (
+            corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
+        )
     return clip
 
 
@@ -223,7 +226,8 @@ class ViewRaster:
         self.fragment_value = np.empty((capacity, 4), np.float32)
 
     def draw(self, clip: np.ndarray, faces: np.ndarray, opacity: np.ndarray, key: int | None) -> "ViewRaster":
-        """Raster `faces` (T,3) int32 over `clip` (V,4) float32 with opacity (T,3) float32; key None: threshold .5. Returns self."""
+        """Raster `faces` (T,3) int32 over `clip` (V,4) float32 with opacity (T,3) float32; key None: threshold .5. Returns
+        self."""
         count = faces.shape[0]
         if self.order.shape[0] < count:
             room = count + count // 4
@@ -235,8 +239,19 @@ class ViewRaster:
             self.depth.fill(np.inf)
             self.visible.fill(-1)
             self.fragments = raster_fragments(
-                self.order, kept, self.coefficients, self.rectangles, opacity, self.width, np.uint32(key or 0), key is not None,
-                self.depth, self.visible, self.fragment_index, self.fragment_value)
+                self.order,
+                kept,
+                self.coefficients,
+                self.rectangles,
+                opacity,
+                self.width,
+                np.uint32(key or 0),
+                key is not None,
+                self.depth,
+                self.visible,
+                self.fragment_index,
+                self.fragment_value,
+            )
             if self.fragments <= self.fragment_index.shape[0]:
                 break
             self._grow(self.fragments + self.fragments // 4)
@@ -258,5 +273,9 @@ def rasterize_opaque(clip: np.ndarray, faces: np.ndarray, height: int, width: in
     values = np.zeros((height * width, 2), np.float32)
     values[hit] = view.fragment_value[view.visible[hit], :2]
     shape = (height, width)
-    return ((view.triangle + 1).reshape(shape), values[:, 0].reshape(shape), values[:, 1].reshape(shape),
-            view.depth.reshape(shape))
+    return (
+        (view.triangle + 1).reshape(shape),
+        values[:, 0].reshape(shape),
+        values[:, 1].reshape(shape),
+        view.depth.reshape(shape),
+    )

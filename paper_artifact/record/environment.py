@@ -27,14 +27,19 @@ def packages() -> dict[str, str | None]:
 def host() -> dict[str, str | int | None]:
     """Return CPU model, visible logical cores, threads the run used, system and peak memory (MiB) so far.
 
-    Threads are those of the CPU kernels if they are loaded, else 1. (Asking numba itself would start its thread layer, which changes
-    the number of OpenMP threads that torch uses from then on.)
+    Threads are those of the CPU kernels if they are loaded, else 1. (Asking numba itself would start its thread layer, which
+    changes the number of OpenMP threads that torch uses from then on.)
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     kernels = sys.modules.get("paper_artifact.raster.threads")
     threads = kernels.thread_count() if kernels is not None else 1
-    return {"cpu": cpu_model(), "cores": cores, "threads": threads, "system": f"{platform.system()} {platform.machine()}",
-            "peak_memory_mib": peak_memory_mib()}
+    return {
+        "cpu": cpu_model(),
+        "cores": cores,
+        "threads": threads,
+        "system": f"{platform.system()} {platform.machine()}",
+        "peak_memory_mib": peak_memory_mib(),
+    }
 
 
 def cpu_model() -> str:

@@ -74,8 +74,15 @@ def record_path(config: Any, folder: Path | str = RUNS) -> Path:
     return Path(folder) / f"{shape}-{condition}-s{config['seed']}-{config_hash(config)}.json"
 
 
-def make_record(config: Any, dumps: list, tails: Mapping, timings: Mapping[str, float], status: str = "done",
-                losses: Mapping[str, list] | None = None, **more: Any) -> dict:
+def make_record(
+    config: Any,
+    dumps: list,
+    tails: Mapping,
+    timings: Mapping[str, float],
+    status: str = "done",
+    losses: Mapping[str, list] | None = None,
+    **more: Any,
+) -> dict:
     """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length, "step" among them.
 
     more: further sections ("images", "topology", "soup", "error", ...). Losses are thinned to LOSS_POINTS rows, the last kept.
@@ -84,11 +91,17 @@ def make_record(config: Any, dumps: list, tails: Mapping, timings: Mapping[str, 
     if status not in STATUSES:
         raise InputError(f"a record's status is one of {', '.join(STATUSES)}, got {status}")
     body = {
-        "schema": SCHEMA, "version": VERSION, "status": status,
-        "config": plain(config), "config_hash": config_hash(config),
-        "packages": packages(), "host": host(),
+        "schema": SCHEMA,
+        "version": VERSION,
+        "status": status,
+        "config": plain(config),
+        "config_hash": config_hash(config),
+        "packages": packages(),
+        "host": host(),
         "timings": {name: round(float(seconds), 3) for name, seconds in timings.items()},
-        "dumps": plain(dumps, DIGITS), "tails": plain(tails, DIGITS), "losses": _thinned(losses or {}),
+        "dumps": plain(dumps, DIGITS),
+        "tails": plain(tails, DIGITS),
+        "losses": _thinned(losses or {}),
     } | {name: plain(value, DIGITS if name in ROUNDED else None) for name, value in more.items()}
     return body | {"digest": _hash(body)}
 

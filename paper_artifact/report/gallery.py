@@ -52,7 +52,9 @@ def expected_count(shape: str) -> int:
     return significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[DISCRIMINATING[shape]]
 
 
-def soup_of(collected: Collected, shape: str, condition: str, seed: int = 0, profile: str = "recorded") -> tuple[dict, Soup] | None:
+def soup_of(
+    collected: Collected, shape: str, condition: str, seed: int = 0, profile: str = "recorded"
+) -> tuple[dict, Soup] | None:
     """Return (record, its final soup), or None where the run is not recorded or its soup is not kept."""
     for record in collected.of(shape, condition):
         path = soup_path(record, RETRAINED if profile == "full" else RESULTS)
@@ -95,9 +97,7 @@ def gallery_figure(
     return figure
 
 
-def gallery_table(
-    collected: Collected, shapes: Sequence[str] = SHAPES, seed: int = 0, profile: str = "recorded"
-) -> pd.DataFrame:
+def gallery_table(collected: Collected, shapes: Sequence[str] = SHAPES, seed: int = 0, profile: str = "recorded") -> pd.DataFrame:
     """Return the gallery's numbers: per shape and arm the expected count, the record's, the count measured again on the soup that
     is shown (same samples), the seeds whose count is right, tail and Chamfer (%)."""
     rows = []

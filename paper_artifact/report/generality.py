@@ -110,7 +110,10 @@ def margin_table(collected: Collected) -> pd.DataFrame:
         protocol, dimension = protocol_of(shape), DISCRIMINATING[shape]
         expected = significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[dimension]
         target = make_target(surface(shape), cache=None)
-        row = {"bar": f"H{dimension}, {expected}. longest", "clean surface": _margin(target.diagram[dimension], expected, target.floor)}
+        row = {
+            "bar": f"H{dimension}, {expected}. longest",
+            "clean surface": _margin(target.diagram[dimension], expected, target.floor),
+        }
         for name in ARMS:
             lasts = [record["dumps"][-1] for record in collected.of(shape, name)]
             margins = [_margin(np.array(last["bars"][dimension]).reshape(-1, 2), expected, last["floor"]) for last in lasts]

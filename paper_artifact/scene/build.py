@@ -48,8 +48,13 @@ class SceneConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, lowest, highest in (("views", 2, 10000), ("size", 8, 8192), ("supersample", 1, 16),
-                                      ("points", 4, 10**7), ("seed", 0, 2**63 - 1)):
+        for name, lowest, highest in (
+            ("views", 2, 10000),
+            ("size", 8, 8192),
+            ("supersample", 1, 16),
+            ("points", 4, 10**7),
+            ("seed", 0, 2**63 - 1),
+        ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
                 raise InputError(f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}")
@@ -102,8 +107,9 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
             if not _holds(folder, key, config.views):  # another process may have built the same scene meanwhile
                 raise
     except OSError as error:
-        raise InputError(f"cannot write the scene to {folder}: {error.strerror}; "
-                         "choose a folder that you can write to") from error
+        raise InputError(
+            f"cannot write the scene to {folder}: {error.strerror}; choose a folder that you can write to"
+        ) from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -137,19 +143,45 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
     first = cameras[0]
     model = Model(
-        cameras={1: Intrinsics("PINHOLE", first.width, first.height,
-                               (first.focal_x, first.focal_y, first.centre_x, first.centre_y))},
-        images={index + 1: Pose(name, 1, camera.quaternion, camera.translation)
-                for index, (name, camera) in enumerate(zip(names, cameras))},
-        point_ids=np.arange(1, config.points + 1), positions=positions, colours=colours, errors=np.zeros(config.points),
+        cameras={
+            1: Intrinsics("PINHOLE", first.width, first.height, (first.focal_x, first.focal_y, first.centre_x, first.centre_y))
+        },
+        images={
+            index + 1: Pose(name, 1, camera.quaternion, camera.translation)
+            for index, (name, camera) in enumerate(zip(names, cameras))
+        },
+        point_ids=np.arange(1, config.points + 1),
+        positions=positions,
+        colours=colours,
+        errors=np.zeros(config.points),
     )
     write_model(model, folder / "sparse" / "0")
-    np.savez(folder / GROUND_TRUTH, vertices=mesh.vertices, faces=mesh.faces, name=np.array(mesh.name),
-             betti=np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64))
-    write_json(folder / DESCRIPTION, {
-        "format": SCENE_FORMAT, "package": __version__, "key": key, "config": asdict(config),
-        "background": background.tolist(), "centre": mesh.centre.tolist(), "radius": mesh.radius,
-        "camera_distance_in_radii": CAMERA_DISTANCE, "field_of_view_degrees": FIELD_OF_VIEW,
-        "mesh": {"name": mesh.name, "sha256": mesh_hash(mesh), "vertices": len(mesh.vertices), "faces": len(mesh.faces),
-                 "betti": list(mesh.betti) if mesh.betti is not None else None, "diagonal": mesh.diagonal},
-    })
+    np.savez(
+        folder / GROUND_TRUTH,
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        name=np.array(mesh.name),
+        betti=np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
+    )
+    write_json(
+        folder / DESCRIPTION,
+        {
+            "format": SCENE_FORMAT,
+            "package": __version__,
+            "key": key,
+            "config": asdict(config),
+            "background": background.tolist(),
+            "centre": mesh.centre.tolist(),
+            "radius": mesh.radius,
+            "camera_distance_in_radii": CAMERA_DISTANCE,
+            "field_of_view_degrees": FIELD_OF_VIEW,
+            "mesh": {
+                "name": mesh.name,
+                "sha256": mesh_hash(mesh),
+                "vertices": len(mesh.vertices),
+                "faces": len(mesh.faces),
+                "betti": list(mesh.betti) if mesh.betti is not None else None,
+                "diagonal": mesh.diagonal,
+            },
+        },
+    )

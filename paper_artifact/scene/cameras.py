@@ -51,12 +51,14 @@ def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
     column c at ((2c+1)/width - 1, (2r+1)/height - 1); z runs from -1 at `near` to 1 at `far` (world units, depth along the
     viewing axis).
     """
-    projection = np.array([
-        [2 * camera.focal_x / camera.width, 0, 2 * camera.centre_x / camera.width - 1, 0],
-        [0, 2 * camera.focal_y / camera.height, 2 * camera.centre_y / camera.height - 1, 0],
-        [0, 0, (far + near) / (far - near), -2 * far * near / (far - near)],
-        [0, 0, 1, 0],
-    ])
+    projection = np.array(
+        [
+            [2 * camera.focal_x / camera.width, 0, 2 * camera.centre_x / camera.width - 1, 0],
+            [0, 2 * camera.focal_y / camera.height, 2 * camera.centre_y / camera.height - 1, 0],
+            [0, 0, (far + near) / (far - near), -2 * far * near / (far - near)],
+            [0, 0, 1, 0],
+        ]
+    )
     view = np.eye(4)
     view[:3, :3] = camera.rotation
     view[:3, 3] = camera.translation
@@ -78,8 +80,16 @@ def look_at(position: np.ndarray, target: np.ndarray, size: int, field_of_view: 
     rotation = np.stack([right, np.cross(forward, right), forward])
     focal = size / 2 / np.tan(np.radians(field_of_view) / 2)
     quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return Camera(size, size, float(focal), float(focal), size / 2, size / 2, tuple(map(float, quaternion)),
-                  tuple(map(float, -rotation @ position)))
+    return Camera(
+        size,
+        size,
+        float(focal),
+        float(focal),
+        size / 2,
+        size / 2,
+        tuple(map(float, quaternion)),
+        tuple(map(float, -rotation @ position)),
+    )
 
 
 def fibonacci_directions(count: int) -> np.ndarray:
@@ -100,5 +110,7 @@ def fibonacci_cameras(mesh: Mesh, count: int, size: int) -> tuple[Camera, ...]:
 
     Distance 3 bounding radii, 50 degrees, `size` × `size` pixels: the paper names neither distance nor angle.
     """
-    return tuple(look_at(mesh.centre + CAMERA_DISTANCE * mesh.radius * direction, mesh.centre, size)
-                 for direction in fibonacci_directions(count))
+    return tuple(
+        look_at(mesh.centre + CAMERA_DISTANCE * mesh.radius * direction, mesh.centre, size)
+        for direction in fibonacci_directions(count)
+    )

@@ -17,8 +17,20 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import write_bytes, write_text
 from paper_artifact.scene.cameras import Camera
 
-MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
-          "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
+MODELS = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+)
 PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 
 
@@ -59,8 +71,15 @@ class Model:
         pose = self.images[image]
         intrinsics = self.cameras[pose.camera]
         focal = intrinsics.parameters[:-2]
-        return Camera(intrinsics.width, intrinsics.height, focal[0], focal[-1], *intrinsics.parameters[-2:],
-                      pose.quaternion, pose.translation)
+        return Camera(
+            intrinsics.width,
+            intrinsics.height,
+            focal[0],
+            focal[-1],
+            *intrinsics.parameters[-2:],
+            pose.quaternion,
+            pose.translation,
+        )
 
 
 def read_model(folder: Path | str) -> Model:
@@ -89,8 +108,10 @@ def read_model(folder: Path | str) -> Model:
     cameras, images, points = parts
     for pose in images.values():
         if pose.camera not in cameras:
-            raise InputError(f"{paths[1]}: image {pose.name} refers to camera {pose.camera}, which {paths[0].name} lacks; "
-                             "export the model again")
+            raise InputError(
+                f"{paths[1]}: image {pose.name} refers to camera {pose.camera}, which {paths[0].name} lacks; "
+                "export the model again"
+            )
     return Model(cameras, images, *points)
 
 
@@ -124,7 +145,7 @@ class _Bytes:
 
     def name(self) -> str:
         end = self.data.index(b"\0", self.offset)
-        name = self.data[self.offset:end].decode("utf-8")
+        name = self.data[self.offset : end].decode("utf-8")
         self.offset = end + 1
         return name
 
@@ -145,8 +166,10 @@ def _pinhole_only(model: str, camera: int) -> None:
     if model not in MODELS:
         raise ValueError(f"unknown camera model {model}")
     if model not in PARAMETERS:
-        raise InputError(f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), only PINHOLE and "
-                         "SIMPLE_PINHOLE are read")
+        raise InputError(
+            f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), only PINHOLE and "
+            "SIMPLE_PINHOLE are read"
+        )
 
 
 def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
@@ -230,42 +253,49 @@ def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
     rows = [row.split() for row in _rows(data)]
     if any(len(row) < 8 for row in rows):
         raise ValueError("a point with fewer than 8 values")
-    return _points([int(row[0]) for row in rows], [list(map(float, row[1:4])) for row in rows],
-                   [list(map(int, row[4:7])) for row in rows], [float(row[7]) for row in rows])
+    return _points(
+        [int(row[0]) for row in rows],
+        [list(map(float, row[1:4])) for row in rows],
+        [list(map(int, row[4:7])) for row in rows],
+        [float(row[7]) for row in rows],
+    )
 
 
 def _write_cameras_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.cameras)) + b"".join(
         struct.pack(f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters)
-        for camera, c in model.cameras.items())
+        for camera, c in model.cameras.items()
+    )
 
 
 def _write_images_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.images)) + b"".join(
-        struct.pack("<I7dI", image, *p.quaternion, *p.translation, p.camera) + p.name.encode("utf-8") + b"\0"
-        + struct.pack("<Q", 0) for image, p in model.images.items())
+        struct.pack("<I7dI", image, *p.quaternion, *p.translation, p.camera)
+        + p.name.encode("utf-8")
+        + b"\0"
+        + struct.pack("<Q", 0)
+        for image, p in model.images.items()
+    )
 
 
 def _write_points_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.point_ids)) + b"".join(
-        struct.pack("<Q3d3BdQ", point, *xyz, *rgb, error, 0) for point, xyz, rgb, error in _point_rows(model))
+        struct.pack("<Q3d3BdQ", point, *xyz, *rgb, error, 0) for point, xyz, rgb, error in _point_rows(model)
+    )
 
 
 def _write_cameras_text(model: Model) -> str:
-    rows = [f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}"
-            for camera, c in model.cameras.items()]
+    rows = [f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}" for camera, c in model.cameras.items()]
     return "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows]) + "\n"
 
 
 def _write_images_text(model: Model) -> str:
-    rows = [f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n"
-            for image, p in model.images.items()]
+    rows = [f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n" for image, p in model.images.items()]
     return "\n".join(["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[]", *rows]) + "\n"
 
 
 def _write_points_text(model: Model) -> str:
-    rows = [f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}"
-            for point, xyz, rgb, error in _point_rows(model)]
+    rows = [f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}" for point, xyz, rgb, error in _point_rows(model)]
     return "\n".join(["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]", *rows]) + "\n"
 
 

@@ -32,8 +32,7 @@ MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
 RAW = "https://raw.githubusercontent.com"
 TIMEOUT = 30.0  # seconds without a byte
 CHUNK = 1 << 16
-OFFLINE_HINT = (f"check the network, or point --mirror or {MIRROR_VARIABLE} to a folder that holds "
-                "<owner>+<repository>/<path>")
+OFFLINE_HINT = f"check the network, or point --mirror or {MIRROR_VARIABLE} to a folder that holds <owner>+<repository>/<path>"
 
 
 class Unreachable(InputError):
@@ -56,8 +55,9 @@ def mesh_path(key: str, *, mirror: Path | str | None = None, downloads: Path = D
     return fetch(key, mirror=mirror, downloads=downloads, quiet=True).path
 
 
-def fetch(key: str, *, mirror: Path | str | None = None, downloads: Path = DOWNLOADS, quiet: bool = False,
-          base_url: str = RAW) -> Fetched:
+def fetch(
+    key: str, *, mirror: Path | str | None = None, downloads: Path = DOWNLOADS, quiet: bool = False, base_url: str = RAW
+) -> Fetched:
     """Like `mesh_path`, and says where the bytes came from. quiet: no progress bar; base_url: another raw-file server."""
     entry = source(key)
     if not entry.obtainable:
@@ -88,8 +88,10 @@ def _bring(entry: Source, target: Path, mirror: Path | str | None, quiet: bool, 
     try:
         handle = open(file, "rb")
     except OSError as error:
-        raise InputError(f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "
-                         "add the file, or leave the mirror out to download it") from error
+        raise InputError(
+            f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "
+            "add the file, or leave the mirror out to download it"
+        ) from error
     with handle:
         _receive(entry, handle, target, str(file), quiet)
     return str(folder)
@@ -103,22 +105,30 @@ def _download(entry: Source, target: Path, quiet: bool, base_url: str) -> str:
             _receive(entry, response, target, url, quiet)
     except urllib.error.HTTPError as error:
         error.close()
-        raise InputError(f"{url} answers {error.code} {error.reason}, so '{entry.key}' was not fetched; "
-                         f"try again later, or use a mirror: {OFFLINE_HINT}") from error
+        raise InputError(
+            f"{url} answers {error.code} {error.reason}, so '{entry.key}' was not fetched; "
+            f"try again later, or use a mirror: {OFFLINE_HINT}"
+        ) from error
     except (http.client.IncompleteRead, ConnectionError, TimeoutError) as error:
-        raise InputError(f"the download of {url} broke off ({type(error).__name__}), so '{entry.key}' was not kept; "
-                         f"run the same command again, or {OFFLINE_HINT}") from error
+        raise InputError(
+            f"the download of {url} broke off ({type(error).__name__}), so '{entry.key}' was not kept; "
+            f"run the same command again, or {OFFLINE_HINT}"
+        ) from error
     except urllib.error.URLError as error:
-        raise Unreachable(f"{url} cannot be reached ({error.reason}), so '{entry.key}' was not fetched; "
-                          f"{OFFLINE_HINT}") from error
+        raise Unreachable(
+            f"{url} cannot be reached ({error.reason}), so '{entry.key}' was not fetched; {OFFLINE_HINT}"
+        ) from error
     return url
 
 
 def _receive(entry: Source, stream: BinaryIO, target: Path, origin: str, quiet: bool) -> None:
     """Copy `stream` to `target`, which appears only if length and sha256 are those of the table."""
     digest, length = hashlib.sha256(), 0
-    with atomic_path(target) as temporary, open(temporary, "wb") as out, \
-            tqdm(total=entry.bytes, desc=f"fetch {entry.key}", unit="B", unit_scale=True, leave=False, disable=quiet) as bar:
+    with (
+        atomic_path(target) as temporary,
+        open(temporary, "wb") as out,
+        tqdm(total=entry.bytes, desc=f"fetch {entry.key}", unit="B", unit_scale=True, leave=False, disable=quiet) as bar,
+    ):
         # One byte more than announced is enough to know that the file is another one.
         while length <= entry.bytes and (chunk := stream.read(min(CHUNK, entry.bytes + 1 - length))):
             _write(out, chunk, target)
@@ -126,12 +136,16 @@ def _receive(entry: Source, stream: BinaryIO, target: Path, origin: str, quiet: 
             length += len(chunk)
             bar.update(len(chunk))
         if length < entry.bytes:
-            raise InputError(f"{origin} ended after {length} of {entry.bytes} bytes, so '{entry.key}' was not kept; "
-                             "run the same command again, or replace the file if it is in a mirror")
+            raise InputError(
+                f"{origin} ended after {length} of {entry.bytes} bytes, so '{entry.key}' was not kept; "
+                "run the same command again, or replace the file if it is in a mirror"
+            )
         if length > entry.bytes or digest.hexdigest() != entry.sha256:
-            raise InputError(f"{origin} is not the pinned file of '{entry.key}' (sha256 {entry.sha256} expected, "
-                             f"{'a longer file' if length > entry.bytes else digest.hexdigest()} found), nothing was kept; "
-                             "a proxy or a changed mirror may have altered it: fetch it from another place")
+            raise InputError(
+                f"{origin} is not the pinned file of '{entry.key}' (sha256 {entry.sha256} expected, "
+                f"{'a longer file' if length > entry.bytes else digest.hexdigest()} found), nothing was kept; "
+                "a proxy or a changed mirror may have altered it: fetch it from another place"
+            )
 
 
 def _write(out: BinaryIO, chunk: bytes, target: Path) -> None:
@@ -148,8 +162,10 @@ def _unpack(entry: Source, archive: Path, mesh: Path) -> None:
     except (zipfile.BadZipFile, KeyError, OSError) as error:
         raise InputError(f"{archive} does not hold {entry.member}; delete the file and fetch again") from error
     if hashlib.sha256(data).hexdigest() != entry.member_sha256:
-        raise InputError(f"{entry.member} in {archive} is not the pinned one (sha256 {entry.member_sha256} expected); "
-                         "restore data_scripts/meshes.csv with git, delete the archive and fetch again")
+        raise InputError(
+            f"{entry.member} in {archive} is not the pinned one (sha256 {entry.member_sha256} expected); "
+            "restore data_scripts/meshes.csv with git, delete the archive and fetch again"
+        )
     write_bytes(mesh, data)
 
 

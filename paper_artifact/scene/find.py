@@ -17,8 +17,8 @@ POT = "pot"  # the ingested shell of the procedural hot pot, in the role of the 
 def find_mesh(shape: str, welded: bool = True) -> Mesh:
     """Return the mesh of an analytic shape, of an external mesh's key (fetched when needed), of the pot, or of a mesh file.
 
-    welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the name is none of these, or
-    the file cannot be had.
+    welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the name is none of
+    these, or the file cannot be had.
     """
     if shape in SHAPES:
         return make_shape(shape)
@@ -30,5 +30,7 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
     if Path(shape).suffix or Path(shape).is_file():
         return load_mesh(Path(shape), welded=welded)
-    raise InputError(f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, a key of `python -m paper_artifact fetch --list`, "
-                     "or the path of a mesh file")
+    raise InputError(
+        f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, a key of `python -m paper_artifact fetch --list`, "
+        "or the path of a mesh file"
+    )

@@ -20,8 +20,9 @@ def background_colour(name: str) -> np.ndarray:
     return np.array(BACKGROUNDS[name], dtype=np.float32)
 
 
-def render_ground_truth(mesh: Mesh, camera: Camera, background: np.ndarray, supersample: int = 4,
-                        texture_frequency: float = 1.0) -> np.ndarray:
+def render_ground_truth(
+    mesh: Mesh, camera: Camera, background: np.ndarray, supersample: int = 4, texture_frequency: float = 1.0
+) -> np.ndarray:
     """Render the textured mesh as an image (H,W,3) float32 in [0,1].
 
     The scene is rasterized at `supersample` times the camera's resolution, coloured at each sample's surface position

@@ -68,19 +68,25 @@ def load_scene(path: Path | str) -> Scene:
     background = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
     radius = float(description.get("radius", 0.0)) or _cloud_radius(model.positions)
     cameras = [model.camera(image) for image in order]
-    images = [_read_image(path / "images" / name, camera.width / camera.height, background)
-              for name, camera in zip(names, cameras)]
+    images = [
+        _read_image(path / "images" / name, camera.width / camera.height, background) for name, camera in zip(names, cameras)
+    ]
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
         (h0, w0), (h1, w1) = sizes[:2]
         raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
     indices = np.arange(len(names))
     return Scene(
-        path=path, names=names, images=np.stack(images),
+        path=path,
+        names=names,
+        images=np.stack(images),
         world_to_clip=np.stack([world_to_clip(camera, NEAR * radius, FAR * radius) for camera in cameras]).astype(np.float32),
         camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
-        background=background, points=model.positions.astype(np.float32),
-        train=indices[indices % HOLDOUT_EVERY != 0], holdout=indices[indices % HOLDOUT_EVERY == 0], radius=radius,
+        background=background,
+        points=model.positions.astype(np.float32),
+        train=indices[indices % HOLDOUT_EVERY != 0],
+        holdout=indices[indices % HOLDOUT_EVERY == 0],
+        radius=radius,
     )
 
 
@@ -91,8 +97,10 @@ def load_ground_truth(path: Path | str) -> Mesh:
     """
     file = Path(path) / GROUND_TRUTH
     if not file.is_file():
-        raise InputError(f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
-                         "their surface; make one of a mesh")
+        raise InputError(
+            f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
+            "their surface; make one of a mesh"
+        )
     try:
         # Opened here, because numpy leaves the file open when it is no sound archive.
         with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as stored:

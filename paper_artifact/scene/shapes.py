@@ -47,15 +47,20 @@ def cylinder(segments: int = 96) -> Mesh:
     """Closed cylinder, radius 1 and height 2 along z. The paper prints no margin for it: this one is our choice."""
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(segments, z)]) for z in (-1.0, 1.0)]
-                              + [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    vertices = np.concatenate(
+        [np.column_stack([ring, np.full(segments, z)]) for z in (-1.0, 1.0)] + [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]
+    )
     low = np.arange(segments)
     after = (low + 1) % segments
     high, high_after, bottom, top = low + segments, after + segments, 2 * segments, 2 * segments + 1
-    faces = np.concatenate([
-        np.column_stack([low, after, high_after]), np.column_stack([low, high_after, high]),
-        np.column_stack([after, low, np.full(segments, bottom)]), np.column_stack([high, high_after, np.full(segments, top)]),
-    ])
+    faces = np.concatenate(
+        [
+            np.column_stack([low, after, high_after]),
+            np.column_stack([low, high_after, high]),
+            np.column_stack([after, low, np.full(segments, bottom)]),
+            np.column_stack([high, high_after, np.full(segments, top)]),
+        ]
+    )
     return checked_mesh(vertices, faces, "cylinder", (1, 0, 1))
 
 
@@ -75,8 +80,12 @@ def two_spheres() -> Mesh:
     """
     vertices, faces = _icosphere(SPHERE_SUBDIVISIONS)
     offset = np.array([1 + TWO_SPHERES_GAP / 2, 0.0, 0.0])
-    return checked_mesh(np.concatenate([vertices - offset, vertices + offset]),
-                        np.concatenate([faces, faces + len(vertices)]), "two_spheres", (2, 0, 2))
+    return checked_mesh(
+        np.concatenate([vertices - offset, vertices + offset]),
+        np.concatenate([faces, faces + len(vertices)]),
+        "two_spheres",
+        (2, 0, 2),
+    )
 
 
 def double_torus(around: int = 160, tube: int = 36) -> Mesh:
@@ -107,8 +116,9 @@ def double_torus(around: int = 160, tube: int = 36) -> Mesh:
     half = points.reshape(-1, 3)
     faces = _grid_faces(np.arange(len(half)).reshape(points.shape[:2]), wrap_rows=False)
     faces = faces[:, ::-1]  # theta falls along the columns
-    return checked_mesh(np.concatenate([half, half * [-1, 1, 1]]),
-                        np.concatenate([faces, faces[:, ::-1] + len(half)]), "double_torus", (1, 4, 1))
+    return checked_mesh(
+        np.concatenate([half, half * [-1, 1, 1]]), np.concatenate([faces, faces[:, ::-1] + len(half)]), "double_torus", (1, 4, 1)
+    )
 
 
 def bowl(name: str) -> Mesh:

@@ -72,8 +72,9 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
         except (TypeError, ValueError, KeyError) as error:
             raise InputError(f"line {number} of the mesh table {table} is damaged; restore it with git") from error
         if entry.role not in ROLES:
-            raise InputError(f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; "
-                             f"use one of {', '.join(ROLES)}")
+            raise InputError(
+                f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; use one of {', '.join(ROLES)}"
+            )
         result[entry.key] = entry
     return result
 

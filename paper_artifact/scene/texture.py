@@ -48,5 +48,4 @@ def _waves() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     numbers = np.repeat([number for number, _ in OCTAVES], WAVES_PER_OCTAVE)
     amplitudes = np.repeat([amplitude for _, amplitude in OCTAVES], WAVES_PER_OCTAVE) / np.sqrt(WAVES_PER_OCTAVE)
     phases = generator.random((3, count)) * 2 * np.pi
-    return ((directions * numbers[None, :, None]).astype(np.float32), phases.astype(np.float32),
-            amplitudes.astype(np.float32))
+    return ((directions * numbers[None, :, None]).astype(np.float32), phases.astype(np.float32), amplitudes.astype(np.float32))

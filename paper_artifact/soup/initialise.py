@@ -1,4 +1,4 @@
-"""A soup's start: one small triangle per chosen point of the SfM cloud (DiffSoup, `notes/diffsoup.md` "Initialisation")."""
+"""A soup's start: one small triangle per chosen point of the SfM cloud (DiffSoup, initialisation)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,11 @@ def farthest_points(points, count, first):
         chosen[k] = current
         best, best_distance = 0, -1.0
         for i in range(len(points)):
-            d = ((points[i, 0] - points[current, 0]) ** 2 + (points[i, 1] - points[current, 1]) ** 2
-                 + (points[i, 2] - points[current, 2]) ** 2)
+            d = (
+                (points[i, 0] - points[current, 0]) ** 2
+                + (points[i, 1] - points[current, 1]) ** 2
+                + (points[i, 2] - points[current, 2]) ** 2
+            )
             if d < distance[i]:
                 distance[i] = d
             if distance[i] > best_distance:
@@ -39,13 +42,15 @@ def farthest_points(points, count, first):
 def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     """Return a soup of min(count, n) triangles on points (n,3), world frame.
 
-    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle is equilateral with uniformly
-    random orientation and circumradius .25 × the mean nearest-neighbour spacing of the chosen points; logits start at zero.
-    Raises InputError for fewer than two points or triangles, points that are not finite, or points that all coincide.
+    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle is equilateral with
+    uniformly random orientation and circumradius .25 × the mean nearest-neighbour spacing of the chosen points; logits start at
+    zero. Raises InputError for fewer than two points or triangles, points that are not finite, or points that all coincide.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D")
+        raise InputError(
+            f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D"
+        )
     if count < 2:
         raise InputError(f"a soup starts with at least two triangles, got {count}; the spacing of one point is not defined")
     count = min(count, len(points))
@@ -61,5 +66,6 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     base = np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], 1) * RADIUS_OF_SPACING * spacing
     rotation = Rotation.random(count, rng=draws).as_matrix()
     corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
-    return Soup(torch.from_numpy(corners.astype(np.float32)), torch.zeros(count, 3, 7), torch.zeros(count, 3),
-                initial_mlp(seed)).trainable()
+    return Soup(
+        torch.from_numpy(corners.astype(np.float32)), torch.zeros(count, 3, 7), torch.zeros(count, 3), initial_mlp(seed)
+    ).trainable()

@@ -1,8 +1,9 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
 Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with long screen-space
-edges are split (`notes/diffsoup.md` "Resampling"). Two hooks let an allocation prior enter as weights without touching the loop: `prune_weight`
-turns the visible-pixel counts into the order of pruning, `split_weight` chooses among the visible triangles to split.
+edges are split (DiffSoup's resampling). Two hooks let an allocation prior enter as weights without touching the loop:
+`prune_weight` turns the visible-pixel counts into the order of pruning, `split_weight` chooses among the visible triangles to
+split.
 """
 
 from __future__ import annotations
@@ -59,8 +60,9 @@ class Resampler:
         """Return whether `step` (1-based) of `steps` ends with a resampling."""
         return step % self.interval == 0 and step < self.prune_until * steps
 
-    def resample(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, seed: int, step: int, steps: int
-                 ) -> tuple[Soup, ResampleReport]:
+    def resample(
+        self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, seed: int, step: int, steps: int
+    ) -> tuple[Soup, ResampleReport]:
         """Return the resampled soup and a report; world_to_clip (n,4,4) are the training views, height and width their full size.
 
         Raises RuntimeError when a hook's answer has the wrong shape, or the result breaks an invariant (budget, finite vertices,
@@ -75,7 +77,7 @@ class Resampler:
             if priority.shape != counts.shape or np.isnan(priority).any():
                 raise RuntimeError(f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN")
             order = np.argsort(priority, kind="stable")
-            soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget:])))
+            soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget :])))
         pruned = len(soup)
         if step < self.split_until * steps:
             views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
@@ -91,8 +93,9 @@ class Resampler:
             raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
         origins = np.arange(len(corners))
         for matrix, wanted in zip(world_to_clip, chosen):
-            corners, origins = split_long_edges(corners, origins, wanted[origins], np.asarray(matrix, np.float64), width / height,
-                                                2 * self.split_height)
+            corners, origins = split_long_edges(
+                corners, origins, wanted[origins], np.asarray(matrix, np.float64), width / height, 2 * self.split_height
+            )
         if len(corners) == len(soup):
             return soup
         return soup.select(torch.from_numpy(origins), torch.from_numpy(corners))

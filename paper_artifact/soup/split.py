@@ -1,4 +1,4 @@
-"""Splitting triangles whose edges are long on screen (DiffSoup `remesh_clip`; `notes/diffsoup.md` "Resampling" 2).
+"""Splitting triangles whose edges are long on screen (DiffSoup `remesh_clip`).
 
 Lengths are in NDC with x scaled by width/height, so an image is 2 units high: "1/5 of the image height" is 0.4.
 """
@@ -33,8 +33,8 @@ def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
     """Bisect the longest screen-space edge of each wanted triangle, and of its halves, until none exceeds `limit` (NDC).
 
     corners (T,3,3) float32 world, origins (T,) int64, wanted (T,) bool, matrix (4,4) world → clip. Returns (corners (T',3,3),
-    origins (T',)): halves stay in place of the parent and at the end, both with the parent's origin and corner order (a, m, c) and
-    (m, b, c). The split point is the perspective-correct image midpoint.
+    origins (T',)): halves stay in place of the parent and at the end, both with the parent's origin and corner order (a, m, c)
+    and (m, b, c). The split point is the perspective-correct image midpoint.
     """
     count = len(corners)
     room = count + 64

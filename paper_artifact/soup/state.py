@@ -21,7 +21,8 @@ MLP_SHAPES = ((16, 16), (16,), (16, 16), (16,), (3, 16), (3,))
 
 @dataclass(frozen=True)
 class Soup:
-    """vertices (T,3,3) float32 world; features (T,3,7) and opacity (T,3) float32 logits; mlp: see `MLP_SHAPES`, as torch.nn.Linear."""
+    """vertices (T,3,3) float32 world; features (T,3,7) and opacity (T,3) float32 logits; mlp: see `MLP_SHAPES`, as
+    torch.nn.Linear."""
 
     vertices: torch.Tensor
     features: torch.Tensor
@@ -32,7 +33,8 @@ class Soup:
         return len(self.vertices)
 
     def select(self, triangles: torch.Tensor, vertices: torch.Tensor | None = None) -> "Soup":
-        """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices (K,3,3) replace positions."""
+        """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices (K,3,3) replace
+        positions."""
         with torch.no_grad():
             moved = self.vertices[triangles] if vertices is None else vertices
             return Soup(moved.clone(), self.features[triangles].clone(), self.opacity[triangles].clone(), self.mlp).trainable()
@@ -49,7 +51,8 @@ class Soup:
 
 
 def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
-    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases (DiffSoup `multires.py`)."""
+    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases (DiffSoup
+    `multires.py`)."""
     draws = stream(seed, "mlp")
     tensors = []
     for shape in MLP_SHAPES:

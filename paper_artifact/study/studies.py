@@ -17,15 +17,14 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         (("double_torus",), ("C0", "C1", "C2"), range(5)),
         (("sphere", "torus"), ("C7", "C7h"), range(3)),
     ),
-    "table2": (
-        (("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight", "pot"), ("C0", "C1", "C2"), range(3)),
-    ),
+    "table2": ((("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight", "pot"), ("C0", "C1", "C2"), range(3)),),
     "bowls": ((("bowl_narrow", "bowl_wide"), ("C0", "C1", "C2"), range(3)),),
 }
 
 
-def study_configs(name: str, shapes: list[str] | None = None, conditions: list[str] | None = None,
-                  seeds: list[int] | None = None) -> list[RunConfig]:
+def study_configs(
+    name: str, shapes: list[str] | None = None, conditions: list[str] | None = None, seeds: list[int] | None = None
+) -> list[RunConfig]:
     """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The lists restrict it.
 
     Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that leaves nothing.
@@ -37,11 +36,17 @@ def study_configs(name: str, shapes: list[str] | None = None, conditions: list[s
         unknown = [str(value) for value in given or () if value not in known]
         if unknown:
             raise InputError(f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}")
-    configs = [default_config(shape, condition=condition, seed=seed)
-               for block_shapes, block_conditions, block_seeds in STUDIES[name] for seed in block_seeds
-               for shape in block_shapes for condition in block_conditions
-               if shape in (shapes or [shape]) and condition in (conditions or [condition]) and seed in (seeds or [seed])]
+    configs = [
+        default_config(shape, condition=condition, seed=seed)
+        for block_shapes, block_conditions, block_seeds in STUDIES[name]
+        for seed in block_seeds
+        for shape in block_shapes
+        for condition in block_conditions
+        if shape in (shapes or [shape]) and condition in (conditions or [condition]) and seed in (seeds or [seed])
+    ]
     if not configs:
-        raise InputError(f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds} at once; "
-                         "see paper_artifact/study/studies.py")
+        raise InputError(
+            f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds} at once; "
+            "see paper_artifact/study/studies.py"
+        )
     return configs

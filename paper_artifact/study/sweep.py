@@ -136,8 +136,15 @@ def run_dask(todo: list[RunConfig], results: Path, client, device: str) -> Itera
         yield Outcome(futures[future], seconds, failure)
 
 
-def sweep(configs: list[RunConfig], results: Path, *, workers: int = 1, device: str = "cpu", scheduler: str | None = None,
-          report: Callable[[str, int, int], None] | None = None) -> list[Outcome]:
+def sweep(
+    configs: list[RunConfig],
+    results: Path,
+    *,
+    workers: int = 1,
+    device: str = "cpu",
+    scheduler: str | None = None,
+    report: Callable[[str, int, int], None] | None = None,
+) -> list[Outcome]:
     """Run what is not recorded yet and return the outcomes; report(text, ended, total) is called when a run ends.
 
     scheduler: address of a Dask scheduler, None for local processes. Raises InputError for bad input before any run starts.
@@ -152,8 +159,9 @@ def sweep(configs: list[RunConfig], results: Path, *, workers: int = 1, device: 
         estimate = Estimate(todo, workers)
         if report:
             report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
-        with closing(run_processes(todo, results, workers, device) if client is None else
-                     run_dask(todo, results, client, device)) as running:
+        with closing(
+            run_processes(todo, results, workers, device) if client is None else run_dask(todo, results, client, device)
+        ) as running:
             for outcome in running:
                 outcomes.append(outcome)
                 estimate.ended(outcome)

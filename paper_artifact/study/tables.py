@@ -12,8 +12,16 @@ from paper_artifact.study.verdict import Arm, Rows, Verdict, verdict
 def published_rows(published: pd.DataFrame) -> list[dict]:
     """Return the rows (as for `verdict`) of the per-seed tails in `published`, tables of `paper_artifact.report.published`."""
     chosen = _published_tails(published)
-    return [{"shape": row["shape"], "condition": row["condition"], "seed": int(row["seed"]), "dimension": int(row["dimension"]),
-             "tail": float(row["value"])} for row in chosen[chosen["seed"].notna()].to_dict("records")]
+    return [
+        {
+            "shape": row["shape"],
+            "condition": row["condition"],
+            "seed": int(row["seed"]),
+            "dimension": int(row["dimension"]),
+            "tail": float(row["value"]),
+        }
+        for row in chosen[chosen["seed"].notna()].to_dict("records")
+    ]
 
 
 def arm_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -25,9 +33,21 @@ def arm_table(rows: Rows, published: pd.DataFrame | None = None) -> pd.DataFrame
     lines = []
     for shape, judged in verdict(rows).items():
         for condition, arm in judged.arms.items():
-            lines.append({"shape": shape, "dimension": judged.dimension, "condition": condition, "seeds": len(arm.seeds),
-                          "mean": arm.mean, "sd": arm.sd, "ratio": arm.ratio, "low": min(arm.tails), "high": max(arm.tails),
-                          "chamfer": arm.chamfer, "counts": counts_text(arm)})
+            lines.append(
+                {
+                    "shape": shape,
+                    "dimension": judged.dimension,
+                    "condition": condition,
+                    "seeds": len(arm.seeds),
+                    "mean": arm.mean,
+                    "sd": arm.sd,
+                    "ratio": arm.ratio,
+                    "low": min(arm.tails),
+                    "high": max(arm.tails),
+                    "chamfer": arm.chamfer,
+                    "counts": counts_text(arm),
+                }
+            )
     table = pd.DataFrame(lines)
     if published is None or table.empty:
         return table

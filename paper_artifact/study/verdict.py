@@ -99,10 +99,16 @@ def rows_of(records: Iterable[Mapping]) -> list[dict]:
         dimension, tails, mesh = record["mesh"]["dimension"], record["tails"], record["mesh"]
         known = [] if mesh.get("betti") is None else [mesh["betti"][dimension] - (dimension == 0)]
         known += [bundled[record["config"]["shape"]]] if record["config"]["shape"] in bundled else []
-        rows.append({**{name: record["config"][name] for name in ("shape", "condition", "seed")}, "dimension": dimension,
-                     "tail": tails["bottleneck"][dimension], "chamfer": tails.get("chamfer"),
-                     "count": tails["counts"][dimension] if tails.get("counts") else None,
-                     "expected": max(known, default=None)})
+        rows.append(
+            {
+                **{name: record["config"][name] for name in ("shape", "condition", "seed")},
+                "dimension": dimension,
+                "tail": tails["bottleneck"][dimension],
+                "chamfer": tails.get("chamfer"),
+                "count": tails["counts"][dimension] if tails.get("counts") else None,
+                "expected": max(known, default=None),
+            }
+        )
     return rows
 
 
@@ -130,8 +136,9 @@ def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> 
     """
     absent = [name for name in members if name not in verdicts or verdicts[name].ratio is None]
     if absent or len(members) < 2:
-        raise InputError("a group needs at least two shapes with C0 and C1 each; "
-                         f"missing: {', '.join(absent) or 'a second member'}")
+        raise InputError(
+            f"a group needs at least two shapes with C0 and C1 each; missing: {', '.join(absent) or 'a second member'}"
+        )
     ratios = [verdicts[name].ratio for name in members]
     return float(np.mean(ratios)), float(np.std(ratios, ddof=1)), sum(verdicts[name].passed for name in members)
 
@@ -163,10 +170,13 @@ def _arms(group: list[dict]) -> dict[str, Arm]:
     for condition in sorted({row["condition"] for row in group}):
         own = sorted((row for row in group if row["condition"] == condition), key=lambda row: row["seed"])
         chamfers = [row.get("chamfer") for row in own]
-        made[condition] = {"condition": condition, "seeds": tuple(int(row["seed"]) for row in own),
-                           "tails": tuple(float(row["tail"]) for row in own),
-                           "counts": tuple(None if row.get("count") is None else int(row["count"]) for row in own),
-                           "chamfer": None if None in chamfers else float(np.mean(chamfers))}
+        made[condition] = {
+            "condition": condition,
+            "seeds": tuple(int(row["seed"]) for row in own),
+            "tails": tuple(float(row["tail"]) for row in own),
+            "counts": tuple(None if row.get("count") is None else int(row["count"]) for row in own),
+            "chamfer": None if None in chamfers else float(np.mean(chamfers)),
+        }
     baseline = float(np.mean(made[BASELINE]["tails"])) if BASELINE in made else None
     arms = {}
     for condition, fields in made.items():
@@ -187,8 +197,13 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
         if condition in expected and None not in arm.counts:
             phantoms[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n > expected[condition])
             missing[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n < expected[condition])
-    common = {"shape": shape, "dimension": dimensions.pop() if dimensions else None, "arms": arms,
-              "phantoms": phantoms, "missing": missing}
+    common = {
+        "shape": shape,
+        "dimension": dimensions.pop() if dimensions else None,
+        "arms": arms,
+        "phantoms": phantoms,
+        "missing": missing,
+    }
     present = [name for name in controls if name in arms]
     absent = [name for name in (BASELINE, LOSS) if name not in arms] + ([] if present else [controls[0]])
     if absent:
@@ -203,8 +218,16 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
         ratio = loss.chamfer / baseline.chamfer
     parity = None if ratio is None else ratio <= PARITY
     outcome, reason = _outcome(arms, present, below, disjoint, parity, ratio)
-    return Verdict(**common, outcome=outcome, reason=reason, below=below, disjoint=disjoint, parity=parity, parity_ratio=ratio,
-                   welch={name: sigma for name, sigma in sigmas.items() if sigma is not None})
+    return Verdict(
+        **common,
+        outcome=outcome,
+        reason=reason,
+        below=below,
+        disjoint=disjoint,
+        parity=parity,
+        parity_ratio=ratio,
+        welch={name: sigma for name, sigma in sigmas.items() if sigma is not None},
+    )
 
 
 def _outcome(arms, controls, below, disjoint, parity, ratio) -> tuple[str, str]:

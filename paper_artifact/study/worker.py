@@ -19,8 +19,9 @@ def start_run(values: dict, results: Path | str, device: str) -> subprocess.Pope
     The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process holds open.
     """
     command = [sys.executable, "-m", "paper_artifact.study.worker", json.dumps(values), str(results), device, "watched"]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                            text=True, errors="replace")
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"
+    )
 
 
 def failure_of(child: subprocess.Popen) -> str | None:

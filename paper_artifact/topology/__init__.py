@@ -10,15 +10,29 @@ from __future__ import annotations
 import importlib
 
 _HOME = {
-    "alpha_persistence": "persistence", "Pairs": "persistence",
-    "median_spacing": "floor", "measurement_floor": "floor", "uniform_spacing": "floor", "significant": "floor",
-    "Bundle": "bundle", "build_bundle": "bundle", "build_from_mesh": "bundle", "load_bundle": "bundle",
-    "FrozenSamples": "samples", "draw_samples": "samples",
-    "match_bars": "matching", "recruit": "matching",
-    "Plan": "plan", "PlanOptions": "plan", "build_plan": "plan",
+    "alpha_persistence": "persistence",
+    "Pairs": "persistence",
+    "median_spacing": "floor",
+    "measurement_floor": "floor",
+    "uniform_spacing": "floor",
+    "significant": "floor",
+    "Bundle": "bundle",
+    "build_bundle": "bundle",
+    "build_from_mesh": "bundle",
+    "load_bundle": "bundle",
+    "FrozenSamples": "samples",
+    "draw_samples": "samples",
+    "match_bars": "matching",
+    "recruit": "matching",
+    "Plan": "plan",
+    "PlanOptions": "plan",
+    "build_plan": "plan",
     "TopologyLoss": "loss",
-    "TopologyTerm": "term", "make_term": "term",
-    "Condition": "conditions", "CONDITIONS": "conditions", "get_condition": "conditions",
+    "TopologyTerm": "term",
+    "make_term": "term",
+    "Condition": "conditions",
+    "CONDITIONS": "conditions",
+    "get_condition": "conditions",
 }
 __all__ = sorted(_HOME)
 

@@ -51,8 +51,10 @@ class Bundle:
     def require_density(self, samples: int) -> None:
         """Raise InputError unless the loss samples at the density M this bundle was built at (paper §3.1)."""
         if samples != self.samples:
-            raise InputError(f"the bundle of {self.shape!r} was built at M = {self.samples} but the loss samples {samples} "
-                             f"points; build the bundle at M = {samples}: alpha values shift with density")
+            raise InputError(
+                f"the bundle of {self.shape!r} was built at M = {self.samples} but the loss samples {samples} "
+                f"points; build the bundle at M = {samples}: alpha values shift with density"
+            )
 
     def save(self, path: Path | str) -> None:
         """Write the bundle as JSON, atomically. Raises InputError when the folder is not writable."""
@@ -60,14 +62,33 @@ class Bundle:
 
     def to_json(self) -> dict:
         """Return the bundle as a JSON-able dict, for its own file or inside a run record."""
-        return {"format": FORMAT, "bars": [each.tolist() for each in self.bars], "dimensions": list(self.dimensions),
-                "reasons": list(self.reasons), "samples": self.samples, "seed": self.seed, "floor": self.floor,
-                "floor_multiplier": self.floor_multiplier, "diagonal": self.diagonal, "shape": self.shape, "source": self.source}
+        return {
+            "format": FORMAT,
+            "bars": [each.tolist() for each in self.bars],
+            "dimensions": list(self.dimensions),
+            "reasons": list(self.reasons),
+            "samples": self.samples,
+            "seed": self.seed,
+            "floor": self.floor,
+            "floor_multiplier": self.floor_multiplier,
+            "diagonal": self.diagonal,
+            "shape": self.shape,
+            "source": self.source,
+        }
 
 
-def build_bundle(points: np.ndarray, diagonal: float, *, dimensions: tuple[int, ...] | None = None,
-                 suppress: tuple[int, ...] = (), k: float = 6.0, shape: str = "points", seed: int = 0,
-                 source: str | None = None, method: str = "fast") -> Bundle:
+def build_bundle(
+    points: np.ndarray,
+    diagonal: float,
+    *,
+    dimensions: tuple[int, ...] | None = None,
+    suppress: tuple[int, ...] = (),
+    k: float = 6.0,
+    shape: str = "points",
+    seed: int = 0,
+    source: str | None = None,
+    method: str = "fast",
+) -> Bundle:
     """Measure the bundle of `points` (M,3) float64 world units, a sample of the ground truth with diagonal D (world units).
 
     dimensions: where the loss acts; None takes every dimension with a significant bar (the torus at M = 2048 gives H1 alone,
@@ -93,22 +114,36 @@ def build_bundle(points: np.ndarray, diagonal: float, *, dimensions: tuple[int, 
         if dimension not in (0, 1, 2):
             raise InputError(f"dimension {dimension} does not exist in three-dimensional space; choose among 0, 1 and 2")
         if not len(bars[dimension]):
-            raise InputError(f"{shape!r} has no significant bar in dimension {dimension} at M = {len(points)} "
-                             f"({reasons[dimension]}); choose another dimension, or a larger M")
+            raise InputError(
+                f"{shape!r} has no significant bar in dimension {dimension} at M = {len(points)} "
+                f"({reasons[dimension]}); choose another dimension, or a larger M"
+            )
     if not chosen and not suppress:
         raise InputError(f"{shape!r} has no significant bar in any dimension at M = {len(points)}; raise M")
     for dimension in set(suppress):
         if dimension not in (0, 1, 2) or len(bars[dimension]):
-            raise InputError(f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar "
-                             "or does not exist")
+            raise InputError(
+                f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar or does not exist"
+            )
     acted = tuple(sorted(set(chosen) | set(suppress)))
     reasons = tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons))
-    return Bundle(tuple(bars), acted, reasons, len(points), int(seed), floor, float(k), float(diagonal), shape,
-                  source or fingerprint(points))
+    return Bundle(
+        tuple(bars),
+        acted,
+        reasons,
+        len(points),
+        int(seed),
+        floor,
+        float(k),
+        float(diagonal),
+        shape,
+        source or fingerprint(points),
+    )
 
 
-def build_from_mesh(vertices: np.ndarray, faces: np.ndarray, samples: int, seed: int = 0, *, shape: str = "mesh",
-                    **options) -> Bundle:
+def build_from_mesh(
+    vertices: np.ndarray, faces: np.ndarray, samples: int, seed: int = 0, *, shape: str = "mesh", **options
+) -> Bundle:
     """Sample a mesh, vertices (V,3) world units and faces (F,3), uniformly by area and measure its bundle at M = `samples`.
 
     D is the bounding-box diagonal of the vertices. The draw is a function of `seed` and equals the live soup's sampler with
@@ -137,16 +172,32 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
         raise InputError(f"{name} is not a target bundle of the format {FORMAT!r}; build it again")
     try:
         bars = tuple(np.asarray(each, dtype=np.float64).reshape(-1, 2) for each in value["bars"])
-        bundle = Bundle(bars, tuple(int(d) for d in value["dimensions"]), tuple(str(r) for r in value["reasons"]),
-                        int(value["samples"]), int(value["seed"]), float(value["floor"]), float(value["floor_multiplier"]),
-                        float(value["diagonal"]), str(value["shape"]), str(value["source"]))
+        bundle = Bundle(
+            bars,
+            tuple(int(d) for d in value["dimensions"]),
+            tuple(str(r) for r in value["reasons"]),
+            int(value["samples"]),
+            int(value["seed"]),
+            float(value["floor"]),
+            float(value["floor_multiplier"]),
+            float(value["diagonal"]),
+            str(value["shape"]),
+            str(value["source"]),
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name} is damaged ({type(error).__name__}: {error}); build it again") from error
     numbers = np.concatenate([each.ravel() for each in bars] + [[bundle.floor, bundle.floor_multiplier, bundle.diagonal]])
     lengths = np.concatenate([each[:, 1] - each[:, 0] for each in bars]) if bars else np.zeros(0)
-    valid = (len(bars) == 3 and len(bundle.reasons) == 3 and np.isfinite(numbers).all() and min(numbers[-3:]) > 0
-             and (lengths > bundle.floor).all() and bundle.samples >= 4
-             and bundle.dimensions and set(bundle.dimensions) <= {0, 1, 2})
+    valid = (
+        len(bars) == 3
+        and len(bundle.reasons) == 3
+        and np.isfinite(numbers).all()
+        and min(numbers[-3:]) > 0
+        and (lengths > bundle.floor).all()
+        and bundle.samples >= 4
+        and bundle.dimensions
+        and set(bundle.dimensions) <= {0, 1, 2}
+    )
     if not valid:
         raise InputError(f"{name} is damaged (bars below its own floor, or a number out of range); build it again")
     return bundle

@@ -28,18 +28,25 @@ class Condition:
     curvature_weighted: bool = False
 
 
-CONDITIONS = {each.name: each for each in (
-    Condition("C0", "none", "photometric loss only; nothing of the topology package is used"),
-    Condition("C1", "topology", "matched persistence loss with recruitment"),
-    Condition("C2", "repulsion", "norm-matched control: short-range repulsion of the same samples, same rho"),
-    Condition("C2g", "repulsion", "C2 with half the radius", repulsion_radius=2.0),
-    Condition("C3", "topology", "C1 without the ramp", ramp=None),
-    Condition("C4", "topology", "C1 with curvature-weighted terms (deferred in the paper; the definition is ours)",
-              curvature_weighted=True),
-    Condition("C6", "topology", "C1 without recruitment", recruitment=False),
-    Condition("C7", "topology", "C1, the plan sees noise of 0.5 % of the diagonal", noise=0.005),
-    Condition("C7h", "topology", "C1, the plan sees noise of 1 % of the diagonal", noise=0.01),
-)}
+CONDITIONS = {
+    each.name: each
+    for each in (
+        Condition("C0", "none", "photometric loss only; nothing of the topology package is used"),
+        Condition("C1", "topology", "matched persistence loss with recruitment"),
+        Condition("C2", "repulsion", "norm-matched control: short-range repulsion of the same samples, same rho"),
+        Condition("C2g", "repulsion", "C2 with half the radius", repulsion_radius=2.0),
+        Condition("C3", "topology", "C1 without the ramp", ramp=None),
+        Condition(
+            "C4",
+            "topology",
+            "C1 with curvature-weighted terms (deferred in the paper; the definition is ours)",
+            curvature_weighted=True,
+        ),
+        Condition("C6", "topology", "C1 without recruitment", recruitment=False),
+        Condition("C7", "topology", "C1, the plan sees noise of 0.5 % of the diagonal", noise=0.005),
+        Condition("C7h", "topology", "C1, the plan sees noise of 1 % of the diagonal", noise=0.01),
+    )
+}
 
 
 def get_condition(name: str) -> Condition:
@@ -48,6 +55,7 @@ def get_condition(name: str) -> Condition:
         return CONDITIONS[name]
     known = ", ".join(CONDITIONS)
     if name == "C5":
-        raise InputError("condition C5 is C1 plus the allocation prior, which is not part of this version; "
-                         f"choose one of {known}")
+        raise InputError(
+            f"condition C5 is C1 plus the allocation prior, which is not part of this version; choose one of {known}"
+        )
     raise InputError(f"unknown condition {name!r}; choose one of {known}")

@@ -41,8 +41,12 @@ class _Repulsion(torch.autograd.Function):
         overlap = np.maximum(0.0, 1.0 - distance / radius)
         slope = -2.0 * overlap / (radius * len(points)) / np.where(distance > 0, distance, 1.0)
         force = slope[:, None] * difference
-        gradient = np.column_stack([np.bincount(pairs[:, 0], force[:, axis], len(points))
-                                    - np.bincount(pairs[:, 1], force[:, axis], len(points)) for axis in range(3)])
+        gradient = np.column_stack(
+            [
+                np.bincount(pairs[:, 0], force[:, axis], len(points)) - np.bincount(pairs[:, 1], force[:, axis], len(points))
+                for axis in range(3)
+            ]
+        )
         ctx.save_for_backward(torch.from_numpy(gradient))
         return torch.tensor((overlap**2).sum() / len(points), dtype=torch.float64)
 

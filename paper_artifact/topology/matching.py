@@ -59,10 +59,12 @@ def match_bars(live: np.ndarray, target: np.ndarray, diagonal_factor: float = PA
     is_pair = (rows < n) & (columns < m)
     matched = np.column_stack([rows[is_pair], columns[is_pair]]).astype(np.int64).reshape(-1, 2)
     matched = matched[np.argsort(matched[:, 1], kind="stable")]
-    return Matching(matched=matched,
-                    unmatched_live=np.setdiff1d(np.arange(n), matched[:, 0]),
-                    unmatched_target=np.setdiff1d(np.arange(m), matched[:, 1]),
-                    cost=float(cost[rows, columns].sum()))
+    return Matching(
+        matched=matched,
+        unmatched_live=np.setdiff1d(np.arange(n), matched[:, 0]),
+        unmatched_target=np.setdiff1d(np.arange(m), matched[:, 1]),
+        cost=float(cost[rows, columns].sum()),
+    )
 
 
 def recruit(pool: np.ndarray, missing: np.ndarray) -> list[tuple[int, int]]:

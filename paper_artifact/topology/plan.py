@@ -173,7 +173,8 @@ def _compile(terms: tuple[Term, ...]) -> tuple[np.ndarray, _Arrays]:
         sound=np.array([term.sound for term in terms] * 2, dtype=bool),
         target=np.array([term.target or (0.0, 0.0) for term in terms], dtype=np.float64).reshape(-1, 2).T,
         diagonal=np.array([term.target is None for term in terms], dtype=bool),
-        weight=np.array([term.weight for term in terms], dtype=np.float64))
+        weight=np.array([term.weight for term in terms], dtype=np.float64),
+    )
 
 
 def build_plan(cloud: np.ndarray, bundle: Bundle, options: PlanOptions = PlanOptions()) -> Plan:
@@ -228,8 +229,18 @@ def _plan_dimension(cloud, pairs, target, floor, dimension, options):
         if not passed:
             unsound += 1
             pair, passed = _repair(cloud, pair, bars[row], options.fallback, failed)
-        terms.append(Term(dimension, kind, float(bars[row, 0]), float(bars[row, 1]), pair[0], pair[1],
-                          None if j is None else tuple(target[j].tolist()), bool(passed)))
+        terms.append(
+            Term(
+                dimension,
+                kind,
+                float(bars[row, 0]),
+                float(bars[row, 1]),
+                pair[0],
+                pair[1],
+                None if j is None else tuple(target[j].tolist()),
+                bool(passed),
+            )
+        )
     report = _report(claims, bars, target, int(is_significant.sum()), unsound + dropped)
     return terms, failed, report
 
@@ -260,5 +271,10 @@ def _report(claims, bars, target, count, failures) -> dict:
         row, kind = owner.get(j, (None, "unreached"))
         targets.append({"target": bar.tolist(), "live": None if row is None else bars[row].tolist(), "kind": kind})
     counts = {kind: sum(each == kind for _, _, each in claims) for kind in KINDS}
-    return {"significant": count, **counts, "unreached": len(target) - len(owner), "gabriel_failures": failures,
-            "targets": targets}
+    return {
+        "significant": count,
+        **counts,
+        "unreached": len(target) - len(owner),
+        "gabriel_failures": failures,
+        "targets": targets,
+    }

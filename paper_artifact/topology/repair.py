@@ -76,8 +76,16 @@ def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
     return Probe(name, start, target, bundle, dimension, learning_rate, steps)
 
 
-def repair(probe: Probe, *, steps: int | None = None, recruitment: bool = True, record_every: int = 10, seed: int = 0,
-           method: str = "fast", progress: Callable[[int], None] | None = None) -> Trajectory:
+def repair(
+    probe: Probe,
+    *,
+    steps: int | None = None,
+    recruitment: bool = True,
+    record_every: int = 10,
+    seed: int = 0,
+    method: str = "fast",
+    progress: Callable[[int], None] | None = None,
+) -> Trajectory:
     """Run the loss alone on the probe's points with Adam and return the trajectory; the plan is refreshed every 10 steps.
 
     steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every: a multiple of 10.
@@ -110,8 +118,16 @@ def repair(probe: Probe, *, steps: int | None = None, recruitment: bool = True, 
         if progress is not None:
             progress(step)
     table = np.array(rows)
-    return Trajectory(probe.name, table[:, 0].astype(int), table[:, 1], table[:, 2].astype(int), table[:, 3],
-                      table[:, 4].astype(int), probe.start, points.detach().numpy().copy())
+    return Trajectory(
+        probe.name,
+        table[:, 0].astype(int),
+        table[:, 1],
+        table[:, 2].astype(int),
+        table[:, 3],
+        table[:, 4].astype(int),
+        probe.start,
+        points.detach().numpy().copy(),
+    )
 
 
 def _bottleneck(a: np.ndarray, b: np.ndarray) -> float:

@@ -38,8 +38,10 @@ class FrozenSamples:
         has another number of triangles than the one sampled (it was resampled: refresh first).
         """
         if vertices.ndim != 3 or tuple(vertices.shape) != (self.triangles, 3, 3):
-            raise InputError(f"the samples were drawn on a soup ({self.triangles}, 3, 3), got {tuple(vertices.shape)}; "
-                             "refresh after every resampling")
+            raise InputError(
+                f"the samples were drawn on a soup ({self.triangles}, 3, 3), got {tuple(vertices.shape)}; "
+                "refresh after every resampling"
+            )
         faces = self.faces if indices is None else self.faces[indices]
         weights = self.barycentrics if indices is None else self.barycentrics[indices]
         corners = vertices[faces.to(vertices.device)].cpu().double()
@@ -47,12 +49,14 @@ class FrozenSamples:
 
     def joined(self, other: FrozenSamples) -> FrozenSamples:
         """Return these samples followed by `other`'s; both of one soup."""
-        return FrozenSamples(torch.cat([self.faces, other.faces]), torch.cat([self.barycentrics, other.barycentrics]),
-                             self.triangles)
+        return FrozenSamples(
+            torch.cat([self.faces, other.faces]), torch.cat([self.barycentrics, other.barycentrics]), self.triangles
+        )
 
 
-def draw_samples(vertices: Tensor | np.ndarray, opacity: Tensor | np.ndarray | None, count: int,
-                 generator: np.random.Generator) -> FrozenSamples:
+def draw_samples(
+    vertices: Tensor | np.ndarray, opacity: Tensor | np.ndarray | None, count: int, generator: np.random.Generator
+) -> FrozenSamples:
     """Draw `count` samples with density opacity × area on a soup's vertices (T,3,3), world units.
 
     opacity (T,) or (T,3) in [0,1] (three corners: their mean), or None for area alone. Raises InputError for another shape,

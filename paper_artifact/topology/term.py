@@ -36,8 +36,17 @@ class TopologyTerm:
     the calibration was a no-op ("event": "no-op", "reason").
     """
 
-    def __init__(self, condition: Condition, bundle: Bundle, steps: int, seed: int, *, samples: int | None = None,
-                 refresh_every: int = REFRESH_EVERY, **options) -> None:
+    def __init__(
+        self,
+        condition: Condition,
+        bundle: Bundle,
+        steps: int,
+        seed: int,
+        *,
+        samples: int | None = None,
+        refresh_every: int = REFRESH_EVERY,
+        **options,
+    ) -> None:
         if condition.kind not in ("topology", "repulsion"):
             raise InputError(f"condition {condition.name} has no topology term; use make_term, which returns None for it")
         if steps < 1 or refresh_every < 1:
@@ -107,11 +116,20 @@ class TopologyTerm:
         self.lambda_peak = peak_weight(self.condition.rho, photo_norm, topo_norm)
         if self.lambda_peak is None:
             which = "topology" if not topo_norm > 0 or not np.isfinite(topo_norm) else "photometric"
-            self.log.append({"event": "no-op", "step": step,
-                             "reason": f"the {which} gradient is zero or not finite, no weight can be set"})
+            self.log.append(
+                {"event": "no-op", "step": step, "reason": f"the {which} gradient is zero or not finite, no weight can be set"}
+            )
             return False
-        self.log.append({"event": "lambda", "step": step, "lambda_peak": self.lambda_peak, "rho": self.condition.rho,
-                         "photo_norm": photo_norm, "topo_norm": topo_norm})
+        self.log.append(
+            {
+                "event": "lambda",
+                "step": step,
+                "lambda_peak": self.lambda_peak,
+                "rho": self.condition.rho,
+                "photo_norm": photo_norm,
+                "topo_norm": topo_norm,
+            }
+        )
         return True
 
 

@@ -1,6 +1,7 @@
 """Where a photometric step is computed: the numba kernels on the CPU, or the plain-torch twin on a GPU.
 
-Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the loss.
+Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the
+loss.
 """
 
 from __future__ import annotations
@@ -37,9 +38,17 @@ class CpuBackend:
         rows = [self._row[int(view)] for view in views]
         with torch.no_grad():
             features, opacity = torch.sigmoid(soup.features), torch.sigmoid(soup.opacity)
-            loss, gradients = self._step(soup.vertices.numpy(), features.numpy(), opacity.numpy(), tuple(each.numpy() for each in soup.mlp),
-                                         self._matrices[views], self._rays[views], [self._targets[row] for row in rows],
-                                         [tuple(each[row] for each in self._statistics) for row in rows], keys)
+            loss, gradients = self._step(
+                soup.vertices.numpy(),
+                features.numpy(),
+                opacity.numpy(),
+                tuple(each.numpy() for each in soup.mlp),
+                self._matrices[views],
+                self._rays[views],
+                [self._targets[row] for row in rows],
+                [tuple(each[row] for each in self._statistics) for row in rows],
+                keys,
+            )
             soup.vertices.grad = torch.from_numpy(gradients.vertices)
             soup.features.grad = torch.from_numpy(gradients.features).mul_(features * (1 - features))
             soup.opacity.grad = torch.from_numpy(gradients.opacity).mul_(opacity * (1 - opacity))
@@ -59,7 +68,9 @@ class TwinBackend:
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [tensor.detach().to(device, dtype).clone() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)]
+        tensors = [
+            tensor.detach().to(device, dtype).clone() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+        ]
         return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
 
     def to_device(self, soup: Soup) -> Soup:

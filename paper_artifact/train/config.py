@@ -13,19 +13,33 @@ from paper_artifact.errors import InputError
 
 # Triangle budgets N by shape (paper §4); loop class 700, void class 1200, the genus-2 stretch case 2000.
 BUDGETS = {
-    "sphere": 1200, "cube": 1200, "cylinder": 1200, "bowl_narrow": 1200, "bowl_wide": 1200, "torus": 700, "two_spheres": 700,
-    "double_torus": 2000, "bob": 700, "rocker-arm": 700, "eight": 700, "spot": 1200, "fandisk": 1200, "armadillo": 1200,
-    "horse": 1200, "pot": 1200,
+    "sphere": 1200,
+    "cube": 1200,
+    "cylinder": 1200,
+    "bowl_narrow": 1200,
+    "bowl_wide": 1200,
+    "torus": 700,
+    "two_spheres": 700,
+    "double_torus": 2000,
+    "bob": 700,
+    "rocker-arm": 700,
+    "eight": 700,
+    "spot": 1200,
+    "fandisk": 1200,
+    "armadillo": 1200,
+    "horse": 1200,
+    "pot": 1200,
 }
 DEFAULT_BUDGET = 1200
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """One training run. Learning rates: vertex_lr is per unit of scene radius (world units); the others are of logits and weights.
+    """One training run. Learning rates: vertex_lr is per unit of scene radius (world units); the others are of logits and
+    weights.
 
-    initial_ratio: initial triangles ÷ budget; all beyond the budget are pruned at the first resampling. dump_steps: steps that are
-    evaluated (after that step's resampling), with `samples` surface samples.
+    initial_ratio: initial triangles ÷ budget; all beyond the budget are pruned at the first resampling. dump_steps: steps that
+    are evaluated (after that step's resampling), with `samples` surface samples.
     """
 
     shape: str
@@ -58,7 +72,9 @@ class RunConfig:
         if self.seed < 0:
             raise InputError(f"seed must not be negative, got {self.seed}")
         if self.size < 22:
-            raise InputError(f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}")
+            raise InputError(
+                f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}"
+            )
         for name in ("vertex_lr", "feature_lr", "opacity_lr", "mlp_lr", "final_lr", "initial_ratio", "split_height"):
             if not 0 < getattr(self, name) < math.inf:
                 raise InputError(f"{name} must be positive and finite, got {getattr(self, name)}")

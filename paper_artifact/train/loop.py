@@ -1,8 +1,8 @@
 """The training loop, the only one: DiffSoup's photometric training with a place for one additive loss term.
 
-Steps count from 1. A step: a batch of views → raster → shade → photometric loss and opacity gradient → backward (edge gradient) → the
-term's own backward → optimisers → resampling when due → evaluation when asked. Without a term, none of its code is imported or run.
-Everything random is a function of (seed, step): a run resumed from a checkpoint gives the same bits as one never stopped.
+Steps count from 1. A step: a batch of views → raster → shade → photometric loss and opacity gradient → backward (edge gradient) →
+the term's own backward → optimisers → resampling when due → evaluation when asked. Without a term, none of its code is imported
+or run. Everything random is a function of (seed, step): a run resumed from a checkpoint gives the same bits as one never stopped.
 """
 
 from __future__ import annotations
@@ -59,30 +59,40 @@ class TrainingError(RuntimeError):
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
-    """Return the scene's view indices of one 1-based step: each epoch is a fresh permutation of `train`, its last batch may be smaller."""
+    """Return the scene's view indices of one 1-based step: each epoch is a fresh permutation of `train`, its last batch may be
+    smaller."""
     per_epoch = -(-len(train) // batch)
     epoch, position = divmod(step - 1, per_epoch)
     order = stream(seed, "epoch", epoch).permutation(len(train))
-    return train[order[position * batch:(position + 1) * batch]]
+    return train[order[position * batch : (position + 1) * batch]]
 
 
 @one_torch_thread()
-def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, evaluate: Callable[[Soup, int], dict] | None = None,
-          checkpoint: Path | None = None, progress: Callable[[int, str], None] | None = None, device: str = "auto",
-          resampler: Resampler | None = None) -> TrainResult:
+def train(
+    scene: Scene,
+    config: RunConfig,
+    *,
+    term: LossTerm | None = None,
+    evaluate: Callable[[Soup, int], dict] | None = None,
+    checkpoint: Path | None = None,
+    progress: Callable[[int, str], None] | None = None,
+    device: str = "auto",
+    resampler: Resampler | None = None,
+) -> TrainResult:
     """Train a soup on the scene's training views and return it with its history.
 
-    evaluate(soup, step) gives one dump (a dict) at each of config.dump_steps. checkpoint: file that is written after each resampling
-    and read at the start when it belongs to the same configuration. progress(step, text) is called after each step. device: "cpu",
-    "cuda" or "auto" (cuda when there is one). Raises TrainingError when the loss or the vertices stop being finite, InputError for
-    a scene without training views or a foreign checkpoint.
+    evaluate(soup, step) gives one dump (a dict) at each of config.dump_steps. checkpoint: file that is written after each
+    resampling and read at the start when it belongs to the same configuration. progress(step, text) is called after each step.
+    device: "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when the loss or the vertices stop being
+    finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
     height, width = scene.images.shape[1:3]
-    resampler = resampler or Resampler(config.budget, config.resample_every, split_views=config.split_views,
-                                       split_height=config.split_height)
+    resampler = resampler or Resampler(
+        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+    )
     soup = initial_soup(scene.points, max(2, round(config.initial_ratio * config.budget)), config.seed)
     result = TrainResult(soup)
     seconds: dict[str, float] = defaultdict(float)
@@ -114,7 +124,9 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
             views = batch_views(scene.train, config.batch, config.seed, step)
             loss = backend.photometric_step(soup, views, [view_key(config.seed, step, int(view)) for view in views])
         if not np.isfinite(loss):
-            raise TrainingError(f"the loss of step {step} is {loss}; lower the learning rates (vertex_lr {config.vertex_lr}) and run again")
+            raise TrainingError(
+                f"the loss of step {step} is {loss}; lower the learning rates (vertex_lr {config.vertex_lr}) and run again"
+            )
         result.losses.append(loss)
         if term is not None:
             with _timed(seconds, "topology"):
@@ -122,7 +134,9 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
                 extra = term.value(step - 1, soup.vertices, lambda: float(soup.vertices.grad.norm()))
                 if extra is not None:
                     if not torch.isfinite(extra):
-                        raise TrainingError(f"the added loss term of step {step} is {extra.item()}; the term's log says what it met")
+                        raise TrainingError(
+                            f"the added loss term of step {step} is {extra.item()}; the term's log says what it met"
+                        )
                     extra.backward()
         with _timed(seconds, "optimiser"):
             for optimiser, _ in optimisers:
@@ -130,12 +144,15 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
             shading.step()
             # The raster skips triangles with such corners, so the loss alone would never tell.
             if not torch.isfinite(soup.vertices.detach()).all():
-                raise TrainingError(f"vertices are not finite after step {step}; lower vertex_lr ({config.vertex_lr}) and run again")
+                raise TrainingError(
+                    f"vertices are not finite after step {step}; lower vertex_lr ({config.vertex_lr}) and run again"
+                )
         resampled = resampler.due(step, config.steps)
         if resampled:
             with _timed(seconds, "resample"):
-                soup, report = resampler.resample(backend.to_host(soup), scene.world_to_clip[scene.train], height, width, config.seed,
-                                                  step, config.steps)
+                soup, report = resampler.resample(
+                    backend.to_host(soup), scene.world_to_clip[scene.train], height, width, config.seed, step, config.steps
+                )
                 soup = backend.to_device(soup)
                 shading = _moved(shading, soup, config)
                 optimisers = _soup_optimisers(soup, config, vertex_lr)
@@ -144,14 +161,24 @@ def train(scene: Scene, config: RunConfig, *, term: LossTerm | None = None, eval
             with _timed(seconds, "evaluate"):
                 result.dumps.append(evaluate(backend.to_host(soup), step))
         if resampled and checkpoint is not None:
-            write_checkpoint(checkpoint, config, step, backend.to_host(soup), shading.state_dict(), result, dict(seconds),
-                             term.state() if term is not None else {})
+            write_checkpoint(
+                checkpoint,
+                config,
+                step,
+                backend.to_host(soup),
+                shading.state_dict(),
+                result,
+                dict(seconds),
+                term.state() if term is not None else {},
+            )
         if progress is not None:
             progress(step, f"loss {loss:.4f}, {len(soup)} triangles")
     result.soup = backend.to_host(soup)
     if not all(torch.isfinite(tensor).all() for tensor in (result.soup.vertices, result.soup.features, result.soup.opacity)):
-        raise TrainingError(f"features or opacity are not finite after step {config.steps}; lower feature_lr ({config.feature_lr}) or "
-                            f"opacity_lr ({config.opacity_lr}) and run again")
+        raise TrainingError(
+            f"features or opacity are not finite after step {config.steps}; lower feature_lr ({config.feature_lr}) or "
+            f"opacity_lr ({config.opacity_lr}) and run again"
+        )
     result.seconds = dict(seconds)
     return result
 

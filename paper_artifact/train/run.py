@@ -45,8 +45,12 @@ def with_condition(config: RunConfig, mesh: Mesh) -> RunConfig:
 
     condition, protocol = asdict(get_condition(config.condition)), asdict(protocol_of(config.shape))
     values = {name: value for name, value in condition.items() if name not in ("name", "description")}
-    values |= {"samples": protocol["samples"], "dimensions": protocol["dimensions"], "bundle_seed": protocol["seed"],
-               "refresh_every": REFRESH_EVERY}
+    values |= {
+        "samples": protocol["samples"],
+        "dimensions": protocol["dimensions"],
+        "bundle_seed": protocol["seed"],
+        "refresh_every": REFRESH_EVERY,
+    }
     values |= dict(config.topology)  # explicit choices win
     return replace(config, topology=tuple(sorted(values.items())))
 
@@ -63,8 +67,9 @@ def make_run_term(config: RunConfig, mesh: Mesh):
     fields = asdict(get_condition(config.condition))
     condition = replace(get_condition(config.condition), **{name: value for name, value in values.items() if name in fields})
     extra = {name: value for name, value in values.items() if name not in fields and name not in ("dimensions", "bundle_seed")}
-    bundle = build_from_mesh(mesh.vertices, mesh.faces, values["samples"], values["bundle_seed"], shape=config.shape,
-                             dimensions=values["dimensions"])
+    bundle = build_from_mesh(
+        mesh.vertices, mesh.faces, values["samples"], values["bundle_seed"], shape=config.shape, dimensions=values["dimensions"]
+    )
     return make_term(condition, bundle, config.steps, config.seed, **extra), bundle
 
 
@@ -74,21 +79,32 @@ def render_views(soup: Soup, scene: Scene, views: np.ndarray) -> np.ndarray:
     images = []
     with torch.no_grad():
         for view in views:
-            raster = functions.rasterize(soup.vertices, torch.sigmoid(soup.opacity), scene.world_to_clip[[view]], height, width, None)
+            raster = functions.rasterize(
+                soup.vertices, torch.sigmoid(soup.opacity), scene.world_to_clip[[view]], height, width, None
+            )
             colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, scene.background)
             images.append(colour[0].permute(1, 2, 0).numpy())
     return np.stack(images)
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path = SCENES) -> Scene:
-    """Build the run's scene under `root`, or take the one that is there, and load it. Seeds share a scene: only training differs."""
+    """Build the run's scene under `root`, or take the one that is there, and load it. Seeds share a scene: only training
+    differs."""
     scene_config = SceneConfig(views=config.views, size=config.size, background=config.background)
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 
-def run(config: RunConfig, *, mesh: Mesh | None = None, results: Path = RESULTS, progress: Callable[[int, str], None] | None = None,
-        device: str = "auto", again: bool = False) -> dict:
-    """Train and evaluate one configuration, write record and soup, and return the record; a record that exists is returned as it is.
+def run(
+    config: RunConfig,
+    *,
+    mesh: Mesh | None = None,
+    results: Path = RESULTS,
+    progress: Callable[[int, str], None] | None = None,
+    device: str = "auto",
+    again: bool = False,
+) -> dict:
+    """Train and evaluate one configuration, write record and soup, and return the record; a record that exists is returned as it
+    is.
 
     results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even if recorded.
     Raises InputError for bad input or a folder that is not writable, before any training.
@@ -114,21 +130,36 @@ def run(config: RunConfig, *, mesh: Mesh | None = None, results: Path = RESULTS,
     cpu = time.process_time()
 
     def evaluate(soup: Soup, step: int) -> dict:
-        return evaluate_soup(soup.vertices.detach().numpy(), soup.corner_opacity(), target, config.seed, step) | {"triangles": len(soup)}
+        return evaluate_soup(soup.vertices.detach().numpy(), soup.corner_opacity(), target, config.seed, step) | {
+            "triangles": len(soup)
+        }
 
     outcome = train(scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device)
     holdout = image_scores(render_views(outcome.soup, scene, scene.holdout), scene.images[scene.holdout])
     sections = {
         "images": {"psnr": round(holdout["psnr"], 4), "ssim": round(holdout["ssim"], 6), "holdout_views": len(scene.holdout)},
         "soup": {"triangles": len(outcome.soup), "resamplings": outcome.resamplings},
-        "mesh": {"name": mesh.name, "sha256": mesh_hash(mesh), "diagonal": mesh.diagonal, "betti": mesh.betti,
-                 "dimension": target.dimension, "floor": target.floor},
-        "cpu_seconds": round(time.process_time() - cpu, 2), "resumed_at": outcome.resumed_at,
+        "mesh": {
+            "name": mesh.name,
+            "sha256": mesh_hash(mesh),
+            "diagonal": mesh.diagonal,
+            "betti": mesh.betti,
+            "dimension": target.dimension,
+            "floor": target.floor,
+        },
+        "cpu_seconds": round(time.process_time() - cpu, 2),
+        "resumed_at": outcome.resumed_at,
     }
     if term is not None:
         sections |= {"topology": term.log, "bundle": bundle.to_json()}
-    record = make_record(config, outcome.dumps, tails(outcome.dumps, min(3, len(outcome.dumps))) if outcome.dumps else {},
-                         outcome.seconds, losses={"step": list(range(1, len(outcome.losses) + 1)), "loss": outcome.losses}, **sections)
+    record = make_record(
+        config,
+        outcome.dumps,
+        tails(outcome.dumps, min(3, len(outcome.dumps))) if outcome.dumps else {},
+        outcome.seconds,
+        losses={"step": list(range(1, len(outcome.losses) + 1)), "loss": outcome.losses},
+        **sections,
+    )
     save_soup(results / "soups" / f"{path.stem}.npz", outcome.soup)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
