@@ -142,9 +142,9 @@ def peer_rows(
     to `missing`.
 
     Keys: cloud, M, library, version; forward_ms, backward_ms, ms (both together): CPU milliseconds of the process, medians of
-    `turns` turns after one uncounted pass (a peer beyond SLOW is timed in that pass alone: turns 1); forward_ratio and ratio
-    (forward_ms and ms over ours); bars (of dimension 1); bar_difference (`bar_difference`, radii in the unit of the points);
-    gradient_difference (`gradient_difference`); note.
+    `turns` turns (`repetitions`, at most 3 beyond 4096 points) after one uncounted pass, which is the only one of a peer beyond
+    SLOW (turns 1); forward_ratio and ratio (forward_ms and ms over ours); bars (of dimension 1); bar_difference
+    (`bar_difference`, radii in the unit of the points); gradient_difference (`gradient_difference`); note.
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
@@ -162,7 +162,7 @@ def peer_rows(
             threads = torch.get_num_threads()
             torch.set_num_threads(1)
             try:
-                rows = _measure(cloud, size, repetitions, able, missing)
+                rows = _measure(cloud, size, repetitions if size <= 4096 else min(repetitions, 3), able, missing)
             finally:
                 torch.set_num_threads(threads)
             yield from rows
