@@ -120,6 +120,23 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
     return table[[each for each in order if each in table]].astype(object).where(lambda frame: frame.notna(), "")
 
 
+def component_table(collected: Collected, shape: str = "two_spheres") -> pd.DataFrame:
+    """Return what an H0 tail is made of, step 2500, means over seeds per condition: the merging bar's death beside the target's,
+    and half of the next longest bar (the most isolated sample) beside the bottleneck distance; radius / D."""
+    rows, target = {}, make_target(surface(shape), cache=None)
+    for condition in CONDITIONS:
+        lasts = [record["dumps"][-1] for record in collected.of(shape, condition)]
+        if lasts:
+            deaths = np.array([[bar[1] for bar in last["bars"][0][:2]] for last in lasts])
+            rows[condition] = {
+                "merging bar": deaths[:, 0].mean().round(4),
+                "of the target": np.sort(target.diagram[0][:, 1])[-1].round(4),
+                "half the next bar": (deaths[:, 1] / 2).mean().round(4),
+                "bottleneck, H0": np.mean([last["bottleneck"][0] for last in lasts]).round(4),
+            }
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
 def trajectory_figure(
     collected: Collected, shapes: Sequence[str] = ("sphere", "torus"), value: str = "bottleneck", columns: int = 2
 ) -> Figure:
