@@ -44,9 +44,9 @@ def stand_ins(monkeypatch):
     modules["oineus"].diff = modules["oineus.diff"]
     modules["oineus.diff"].alpha_filtration = lambda points: points
     modules["oineus.diff"].persistence_diagram = lambda points, n_threads: dict(enumerate(gudhi_diagrams(points, squared_radii)))
-    modules["torch_topological.nn"].AlphaComplex = lambda: lambda points: [
-        types.SimpleNamespace(diagram=diagram) for diagram in gudhi_diagrams(points, longest_edges)
-    ]
+    modules["torch_topological.nn"].AlphaComplex = lambda: (
+        lambda points: [types.SimpleNamespace(diagram=diagram) for diagram in gudhi_diagrams(points, longest_edges)]
+    )
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
 
@@ -113,7 +113,10 @@ def test_a_slow_peer_is_timed_once_and_left_out_of_larger_clouds(stand_ins, monk
     missing = []
     rows = list(peers.peer_rows((150, 100), ("torus",), 3, peers.PEERS[:1], missing))
     assert [(row["library"], row["M"], row["turns"]) for row in rows] == [
-        (peers.OURS, 100, 3), ("oineus.diff", 100, 1), (peers.OURS, 150, 3)]
+        (peers.OURS, 100, 3),
+        ("oineus.diff", 100, 1),
+        (peers.OURS, 150, 3),
+    ]
     assert missing[0].startswith("oineus.diff: not measured on torus beyond M = 100, where it took")
 
 
@@ -138,11 +141,14 @@ def test_differences():
     assert np.isnan(peers.gradient_difference(ours, np.full((2, 2), np.nan)))
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (((100,), ("nonsense",)), "unknown cloud 'nonsense'"),
-    (((99,),), "at least 100 points"),
-    (((100,), ("torus",), 0), "one repetition"),
-])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (((100,), ("nonsense",)), "unknown cloud 'nonsense'"),
+        (((99,),), "at least 100 points"),
+        (((100,), ("torus",), 0), "one repetition"),
+    ],
+)
 def test_bad_input(arguments, words):
     with pytest.raises(InputError, match=words):
         list(peers.peer_rows(*arguments))
@@ -153,7 +159,9 @@ def test_the_verb_prints_our_row_and_how_to_install_the_others(absent, own_threa
     assert cli.main(["bench", "peers", "--repetitions", "1"]) == 0
     printed = capsys.readouterr()
     assert "torus M =   100  paper_artifact" in printed.out and "1.0 × ours" in printed.out
-    assert "oineus.diff: does not import (ModuleNotFoundError" in printed.out and "pip install oineus eagerpy diode" in printed.out
+    assert (
+        "oineus.diff: does not import (ModuleNotFoundError" in printed.out and "pip install oineus eagerpy diode" in printed.out
+    )
     assert "install it with: pip install torch-topological" in printed.out and "Traceback" not in printed.out + printed.err
 
 

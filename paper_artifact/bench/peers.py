@@ -26,9 +26,7 @@ import paper_artifact
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.topology.benchmark import CLOUDS
-from paper_artifact.topology.circumradius import circumradius
-from paper_artifact.topology.gabriel import TOLERANCE
-from paper_artifact.topology.persistence import alpha_persistence
+from paper_artifact.topology.diagrams import alpha_diagrams
 
 OURS = "paper_artifact"
 LONGEST = 10
@@ -52,24 +50,8 @@ class Peer:
 
 
 def our_diagrams(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the alpha diagrams (k,2) of dimensions 0, 1, 2 of `points` (M,3) float64: births and deaths, RADII, in their unit.
-
-    Differentiable once: a radius is its simplex's circumradius (paper §3.2), and one that fails the Gabriel gate keeps its
-    filtration value without a gradient. Raises InputError as `alpha_persistence` does.
-    """
-    diagrams = []
-    for pairs in alpha_persistence(points.detach().numpy()):
-        sides = [
-            _radii(points, simplices, torch.from_numpy(values))
-            for simplices, values in ((pairs.birth_simplices, pairs.births), (pairs.death_simplices, pairs.deaths))
-        ]
-        diagrams.append(torch.stack(sides, dim=1))
-    return tuple(diagrams)
-
-
-def _radii(points: Tensor, simplices: np.ndarray, values: Tensor) -> Tensor:
-    own = circumradius(points[torch.from_numpy(simplices)])
-    return torch.where((own - values).abs() <= TOLERANCE * values, own, values)
+    """Return the bars (k,2) of `topology.diagrams.alpha_diagrams`, dimensions 0, 1, 2."""
+    return tuple(diagram.bars for diagram in alpha_diagrams(points))
 
 
 def _oineus_diagrams(points: Tensor) -> list[Tensor]:
@@ -90,11 +72,18 @@ def _torch_topological_diagrams(points: Tensor) -> list[Tensor]:
 
 PEERS = (
     Peer(
-        "oineus.diff", ("oineus.diff", "diode"), ("oineus", "diode"), _oineus_diagrams,
-        "pip install oineus eagerpy diode (diode is compiled: g++, cmake, libcgal-dev)", "alpha filtration, squared radii",
+        "oineus.diff",
+        ("oineus.diff", "diode"),
+        ("oineus", "diode"),
+        _oineus_diagrams,
+        "pip install oineus eagerpy diode (diode is compiled: g++, cmake, libcgal-dev)",
+        "alpha filtration, squared radii",
     ),
     Peer(
-        "torch-topological", ("torch_topological.nn",), ("torch-topological",), _torch_topological_diagrams,
+        "torch-topological",
+        ("torch_topological.nn",),
+        ("torch-topological",),
+        _torch_topological_diagrams,
         "pip install torch-topological",
         "pairs of gudhi's alpha filtration (precision `fast`); values are half the longest edge, not circumradii",
     ),
@@ -168,8 +157,10 @@ def peer_rows(
             yield from rows
             slow = {row["library"]: row["ms"] for row in rows[1:] if row["ms"] > 1e3 * SLOW}
             if size < max(sizes):
-                missing += [f"{name}: not measured on {cloud} beyond M = {size}, where it took {ms / 1e3:.0f} s"
-                            for name, ms in slow.items()]
+                missing += [
+                    f"{name}: not measured on {cloud} beyond M = {size}, where it took {ms / 1e3:.0f} s"
+                    for name, ms in slow.items()
+                ]
             able = [peer for peer in able if peer.name not in slow]
 
 
@@ -192,18 +183,27 @@ def _measure(cloud: str, size: int, repetitions: int, peers: Sequence[Peer], mis
     for name, each in times.items():
         forward, backward = (1e3 * np.median(each, axis=0)).tolist()
         row = {
-            "cloud": cloud, "M": size, "library": name,
+            "cloud": cloud,
+            "M": size,
+            "library": name,
             "version": _versions(named[name].distributions) if name in named else paper_artifact.__version__,
-            "forward_ms": forward, "backward_ms": backward, "ms": 1e3 * float(np.median(np.sum(each, axis=1))),
+            "forward_ms": forward,
+            "backward_ms": backward,
+            "ms": 1e3 * float(np.median(np.sum(each, axis=1))),
             "turns": len(each),
         }
         ours = rows[0] if rows else row
-        rows.append(row | {
-            "forward_ratio": forward / ours["forward_ms"], "ratio": row["ms"] / ours["ms"], "bars": len(first[name][0]),
-            "bar_difference": bar_difference(first[OURS][0], first[name][0]),
-            "gradient_difference": gradient_difference(first[OURS][1], first[name][1]),
-            "note": named[name].note if name in named else "circumradii, closed-form gradient",
-        })
+        rows.append(
+            row
+            | {
+                "forward_ratio": forward / ours["forward_ms"],
+                "ratio": row["ms"] / ours["ms"],
+                "bars": len(first[name][0]),
+                "bar_difference": bar_difference(first[OURS][0], first[name][0]),
+                "gradient_difference": gradient_difference(first[OURS][1], first[name][1]),
+                "note": named[name].note if name in named else "circumradii, closed-form gradient",
+            }
+        )
     return rows
 
 
@@ -227,7 +227,7 @@ def gradient_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 
 def _versions(distributions: Sequence[str]) -> str:
-    """"0.9.39", or "0.9.39, diode 1.2.2" where more than one matters."""
+    """ "0.9.39", or "0.9.39, diode 1.2.2" where more than one matters."""
     found = []
     for name in distributions:
         try:

@@ -35,8 +35,11 @@ def measure_all(
         if progress is not None:
             progress(f"{row['cloud']}, M = {row['M']}: {row['library']}")
     return pd.DataFrame(rows).assign(
-        cpu=host()["cpu"], python=platform.python_version(), torch=torch.__version__, gudhi=packages()["gudhi"],
-        not_measured="; ".join(notes)
+        cpu=host()["cpu"],
+        python=platform.python_version(),
+        torch=torch.__version__,
+        gudhi=packages()["gudhi"],
+        not_measured="; ".join(notes),
     )
 
 
@@ -48,8 +51,10 @@ def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
         {
             "cloud": stored["cloud"],
             "M": stored["M"],
-            "library": [name if name == OURS else f"{name} {version}"
-                        for name, version in zip(stored["library"], stored["version"], strict=True)],
+            "library": [
+                name if name == OURS else f"{name} {version}"
+                for name, version in zip(stored["library"], stored["version"], strict=True)
+            ],
             "forward ms": stored["forward_ms"].round(0),
             "backward ms": stored["backward_ms"].round(0),
             "forward / ours": stored["forward_ratio"].round(1),
@@ -65,8 +70,10 @@ def peers_machine(stored: pd.DataFrame) -> str:
     row = stored.iloc[0]
     turns = f"medians of {stored['turns'].max()} turns, a peer that took longer than half a minute once"
     left = f"; {row['not_measured']}" if isinstance(row["not_measured"], str) and row["not_measured"] else ""
-    return (f"{row['cpu']}, load {stored['load'].min()} to {stored['load'].max()}, one thread, Python {row['python']}, "
-            f"torch {row['torch']}, gudhi {row['gudhi']}; {turns}{left}")
+    return (
+        f"{row['cpu']}, load {stored['load'].min()} to {stored['load'].max()}, one thread, Python {row['python']}, "
+        f"torch {row['torch']}, gudhi {row['gudhi']}; {turns}{left}"
+    )
 
 
 def _same(difference: float) -> str:

@@ -1,6 +1,6 @@
 """Alpha persistence with gradients, the topology loss, its plan, target bundle and conditions; usable without scene or trainer.
 
-    from paper_artifact.topology import TopologyLoss, alpha_persistence, build_bundle
+    from paper_artifact.topology import TopologyLoss, alpha_diagrams, alpha_persistence, build_bundle
 
 Names load their module on first use, so importing the package costs nothing.
 """
@@ -12,6 +12,8 @@ import importlib
 _HOME = {
     "alpha_persistence": "persistence",
     "Pairs": "persistence",
+    "alpha_diagrams": "diagrams",
+    "DiagramTensor": "diagrams",
     "median_spacing": "floor",
     "measurement_floor": "floor",
     "uniform_spacing": "floor",
