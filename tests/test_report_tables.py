@@ -59,6 +59,13 @@ def test_figures_draw_what_the_tables_say(study):
     assert len(matrix.diagram_figure(study, steps=(100, 2500)).axes) == 6
 
 
+def test_an_h0_tail_is_the_most_isolated_sample():
+    """On the committed records: half of the bar after the merging one is the bottleneck distance, to the sampling's spacing."""
+    table = matrix.component_table(matrix.collect_study("table1"))
+    assert (table["merging bar"] - table["of the target"]).abs().max() < 0.002
+    assert (table["half the next bar"] - table["bottleneck, H0"]).abs().loc[["C0", "C2"]].max() < 0.001
+
+
 def test_plans(study):
     table = plans.plan_table(study)
     assert table.loc[("torus", "C1"), "recruiting %"] == 100 and table.loc[("torus", "C6"), "unreached %"] == 100
@@ -141,6 +148,8 @@ def test_cost_tables(study):
     assert list(table.index) == ["M = 200", "M = 800", "growth exponent"] and table.loc["growth exponent", "paper ms"] == 1.05
     assert set(cost.stage_table(stored).index) == set(cost.STAGES) and "gudhi 3" in cost.machine(stored)
     assert len(cost.cost_figure(stored).axes[0].lines) == 4
+    growth = cost.growth_table(stored)
+    assert list(growth.index) == ["torus", "soup", "smooth torus"] and growth["exponent, tetrahedra"].between(0.8, 1.4).all()
     share = cost.share_table(study)
     assert share.loc["sphere", "loss adds %"] == round(100 * 10 / 35) and share.iloc[-1]["loss adds %"] == "112–139"
 

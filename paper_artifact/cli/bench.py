@@ -14,8 +14,12 @@ PARTS = ("raster", "run", "persistence", "loss", "peers")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("parts", nargs="*", metavar="PART",
-                        help=f"what to measure: {', '.join(PARTS)} (default: all; peers only where one is installed)")
+    parser.add_argument(
+        "parts",
+        nargs="*",
+        metavar="PART",
+        help=f"what to measure: {', '.join(PARTS)} (default: all; peers only where one is installed)",
+    )
     parser.add_argument("--steps", type=int, default=2500, help="steps of the whole runs (default: %(default)s)")
     parser.add_argument("--repetitions", type=int, default=7, help="turns of the part peers (default: %(default)s)")
 
@@ -61,20 +65,28 @@ def _run(folder: Path, arguments: argparse.Namespace) -> None:
     for threads in (1, 2):
         row = run_row("sphere", "C0", arguments.steps, threads, folder)
         stages = ", ".join(f"{name} {value:.1f} s" for name, value in sorted(row["seconds"].items()))
-        print(f"  sphere C0, {threads} thread(s): {row['cpu']:6.1f} s of CPU = {row['cpu'] / threads:5.1f} s per thread, "
-              f"wall {row['wall']:6.1f} s, peak memory {row['peak_mb']:.0f} MB ({stages})")
+        print(
+            f"  sphere C0, {threads} thread(s): {row['cpu']:6.1f} s of CPU = {row['cpu'] / threads:5.1f} s per thread, "
+            f"wall {row['wall']:6.1f} s, peak memory {row['peak_mb']:.0f} MB ({stages})"
+        )
 
 
 def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
+    from paper_artifact.report.cost import CLOUDS
     from paper_artifact.topology.benchmark import growth_exponent, persistence_rows
 
     print("Alpha persistence with birth and death simplices; CPU ms, one thread, medians of 7 in turn")
-    for cloud in ("torus", "soup"):
-        rows = persistence_rows(repetitions=7, cloud=cloud)
+    for cloud, (what, draw) in CLOUDS.items():
+        print(f"  {cloud}: {what}")
+        rows = persistence_rows(repetitions=7, cloud=cloud, draw=draw)
         for row in rows:
-            print(f"  {cloud:6s} M = {row['M']:6d}   ours {row['fast_ms']:8.1f}   gudhi safe {row['gudhi_ms']:8.1f}   {row['ratio']:5.1f} ×")
-        print(f"  {cloud:6s} time grows as M^{growth_exponent(rows):.2f} (gudhi M^{growth_exponent(rows, 'gudhi_ms'):.2f}; "
-              "paper 1.05 from 174 ms at 2048 and 1.92 s at 20000)")
+            print(
+                f"    M = {row['M']:6d}   ours {row['fast_ms']:8.1f}   gudhi safe {row['gudhi_ms']:8.1f}   {row['ratio']:5.1f} ×"
+            )
+        print(
+            f"    time grows as M^{growth_exponent(rows):.2f} (gudhi M^{growth_exponent(rows, 'gudhi_ms'):.2f}, Delaunay "
+            f"tetrahedra M^{growth_exponent(rows, 'tetrahedra'):.2f}; paper 1.05 from 174 ms at 2048 and 1.92 s at 20000)"
+        )
 
 
 def _loss(folder: Path, arguments: argparse.Namespace) -> None:

@@ -16,31 +16,66 @@ from paper_artifact.record.environment import host, packages
 from paper_artifact.report.figures import new_figure
 from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected
+from paper_artifact.report.staircase import surface
+from paper_artifact.sampling import sample_surface
+from paper_artifact.topology.benchmark import CLOUDS as DRAWN
 from paper_artifact.topology.benchmark import growth_exponent, persistence_rows
 
 SIZES = (2048, 4096, 8192, 20_000)
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
 
 
+def study_torus(count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return `count` area-weighted samples (count,3) of the study's torus mesh, world units: what targets and bundles are made
+    of."""
+    mesh = surface("torus")
+    return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
+
+
+# cloud: what it is, and how it is drawn (None: topology.benchmark has it)
+CLOUDS = {
+    "torus": ("samples of the study's torus mesh", study_torus),
+    "soup": ("samples of 300 triangles around a torus, as the loss sees them", None),
+    "smooth torus": ("points of an exact torus", DRAWN["torus"]),
+}
+
+
 def measure_all(
     sizes: Sequence[int] = SIZES, repetitions: int = 5, progress: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
-    """Return one line per M (see `topology.benchmark.persistence_rows`), with this machine's CPU and the versions; about a minute
-    of CPU."""
+    """Return one line per cloud and M (see `topology.benchmark.persistence_rows`), with this machine's CPU and the versions;
+    about three minutes of CPU."""
     rows = []
-    for size in sizes:
-        rows += persistence_rows((size,), repetitions)
-        if progress is not None:
-            progress(f"M = {size}")
+    for cloud, (_, draw) in CLOUDS.items():
+        for size in sizes:
+            rows += persistence_rows((size,), repetitions, cloud, draw)
+            if progress is not None:
+                progress(f"{cloud}, M = {size}")
     versions = packages()
     return pd.DataFrame(rows).assign(repetitions=repetitions, cpu=host()["cpu"], gudhi=versions["gudhi"], numba=versions["numba"])
 
 
+def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
+    """Return per cloud the exponents p of ours ~ M^p and gudhi's ~ M^p from the smallest to the largest M, and that of the number
+    of Delaunay tetrahedra: what no method that builds them can fall below; ratios at both ends."""
+    rows = {}
+    for cloud, group in stored.groupby("cloud", sort=False):
+        lines = group.to_dict("records")
+        names = {"ours": "fast_ms", "gudhi": "gudhi_ms", "tetrahedra": "tetrahedra"}
+        rows[cloud] = {f"exponent, {name}": round(growth_exponent(lines, key), 2) for name, key in names.items()}
+        ends = (lines[0], lines[-1])
+        rows[cloud] |= {f"tetrahedra per point, M = {line['M']}": round(line["tetrahedra"] / line["M"], 1) for line in ends}
+        rows[cloud] |= {f"gudhi / ours, M = {line['M']}": round(line["ratio"], 1) for line in ends}
+        rows[cloud] |= {"cloud": CLOUDS[cloud][0] if cloud in CLOUDS else cloud}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
 def beside_paper(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return time per persistence step against M: ours, gudhi `safe` in the same process, their ratio, and the paper's (gudhi on
-    its machine); last line: the growth exponent p of time ~ M^p from the smallest to the largest M."""
+    """Return time per persistence step against M, torus cloud: ours, gudhi `safe` in the same process, their ratio, and the
+    paper's (gudhi on its machine); last line: the growth exponent p of time ~ M^p from the smallest to the largest M."""
     paper = published("cost")
     paper = paper[paper["quantity"] == "persistence_ms"].astype({"samples": int}).set_index("samples")["value"]
+    stored = torus_rows(stored)
     table = pd.DataFrame(
         {
             "ours ms": stored["fast_ms"].round(0),
@@ -60,10 +95,16 @@ def beside_paper(stored: pd.DataFrame) -> pd.DataFrame:
     return table.astype(object).where(table.notna(), "")
 
 
+def torus_rows(stored: pd.DataFrame) -> pd.DataFrame:
+    """Return the lines of the torus cloud, which the paper measures on."""
+    return stored[stored["cloud"] == "torus"].reset_index(drop=True)
+
+
 def stage_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return milliseconds per stage and M, ours and gudhi's (its simplex tree is built within its filtration stage)."""
+    """Return milliseconds per stage and M, torus cloud, ours and gudhi's (its simplex tree is built within its filtration
+    stage)."""
     columns = {}
-    for row in stored.to_dict("records"):
+    for row in torus_rows(stored).to_dict("records"):
         for name, key in (("ours", "fast"), ("gudhi", "gudhi")):
             columns[f"M = {row['M']}", name] = {stage: round(row[f"{key}_{stage}_ms"], 1) for stage in STAGES}
     return pd.DataFrame(columns)
@@ -73,11 +114,12 @@ def machine(stored: pd.DataFrame) -> str:
     """Return the line that says where the stored times come from."""
     row = stored.iloc[0]
     versions = f"gudhi {row['gudhi']}, numba {row['numba']}"
-    return f"{row['cpu']}, one thread, {versions}; medians of {row['repetitions']} turns, torus cloud"
+    return f"{row['cpu']}, one thread, {versions}; medians of {row['repetitions']} turns"
 
 
 def cost_figure(stored: pd.DataFrame) -> Figure:
-    """Return time against M on logarithmic axes: ours, gudhi, the paper's figures, and a line of slope 1."""
+    """Return time against M on logarithmic axes, torus cloud: ours, gudhi, the paper's figures, and a line of slope 1."""
+    stored = torus_rows(stored)
     figure, axes = new_figure(1, 1, 4.6, 3.4)
     axis, paper = axes[0][0], published("cost")
     paper = paper[paper["quantity"] == "persistence_ms"].astype({"samples": float})
@@ -98,7 +140,7 @@ def cost_figure(stored: pd.DataFrame) -> Figure:
 
 def now_table(sizes: Sequence[int] = (2048, 4096), repetitions: int = 3) -> pd.DataFrame:
     """Return ours, gudhi and the ratio, measured now on this machine: for a cell that is not compared."""
-    table = pd.DataFrame(persistence_rows(tuple(sizes), repetitions)).set_index("M")
+    table = pd.DataFrame(persistence_rows(tuple(sizes), repetitions, "torus", study_torus)).set_index("M")
     return table[["fast_ms", "gudhi_ms", "ratio"]].round(1)
 
 

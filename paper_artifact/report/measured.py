@@ -32,7 +32,9 @@ MEASUREMENTS = {
         "group_wave", "measure_all", "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others"
     ),
     "cost": Measurement("cost", "measure_all", "time and memory of persistence against the number of samples, on this machine"),
-    "peers": Measurement("peers", "measure_all", "differentiable diagrams beside oineus.diff and torch-topological, where installed"),
+    "peers": Measurement(
+        "peers", "measure_all", "differentiable diagrams beside oineus.diff and torch-topological, where installed"
+    ),
 }
 
 

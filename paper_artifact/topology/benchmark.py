@@ -6,6 +6,7 @@ import time
 from typing import Callable
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -29,30 +30,32 @@ def _uniform(n: int, rng: np.random.Generator) -> np.ndarray:
     return rng.random((n, 3))
 
 
-CLOUDS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
+Draw = Callable[[int, np.random.Generator], np.ndarray]
+CLOUDS: dict[str, Draw] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
 
 
 def persistence_rows(
-    sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetitions: int = 7, cloud: str = "torus"
+    sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetitions: int = 7, cloud: str = "torus", draw: Draw | None = None
 ) -> list[dict]:
     """One row per cloud size M: CPU milliseconds of one process (medians over repetitions in which the two take turns) and
     ratios.
 
-    Keys: cloud, M, gudhi_ms, fast_ms, ratio (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage,
-    which costs gudhi a Python loop over the pairs), and for each stage of delaunay, filtration, reduction, pairs:
-    gudhi_STAGE_ms, fast_STAGE_ms, ratio_STAGE. gudhi's simplex tree is built within its filtration stage. Compilation is done
-    before the clock starts.
+    cloud: one of CLOUDS, or any name if `draw` is given: draw(M, generator) returns points (M,3) float64.
+    Keys: cloud, M, tetrahedra (of the Delaunay triangulation: the size of what is computed; by scipy), gudhi_ms, fast_ms, ratio
+    (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage, which costs gudhi a Python loop over the
+    pairs), and for each stage of delaunay, filtration, reduction, pairs: gudhi_STAGE_ms, fast_STAGE_ms, ratio_STAGE. gudhi's
+    simplex tree is built within its filtration stage. Compilation is done before the clock starts.
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
-    if cloud not in CLOUDS:
+    if draw is None and cloud not in CLOUDS:
         raise InputError(f"unknown cloud {cloud!r}; choose one of {', '.join(CLOUDS)}")
     if min(sizes, default=0) < 100 or repetitions < 1:
         raise InputError("the benchmark needs sizes of at least 100 points and at least one repetition")
     fast_persistence(_uniform(100, stream(0, "persistence benchmark warm-up")))
     rows = []
     for size in sizes:
-        points = CLOUDS[cloud](size, stream(0, f"persistence benchmark {cloud}", size))
+        points = (draw or CLOUDS[cloud])(size, stream(0, f"persistence benchmark {cloud}", size))
         clocks: dict[str, list[dict[str, float]]] = {"gudhi": [], "fast": []}
         for _ in range(repetitions):
             for name, persistence in (("gudhi", gudhi_persistence), ("fast", fast_persistence)):
@@ -63,7 +66,8 @@ def persistence_rows(
                 clocks[name].append(clock)
         median = {k: {s: 1e3 * float(np.median([c[s] for c in v])) for s in (*STAGES, "total")} for k, v in clocks.items()}
         gudhi, fast = median["gudhi"], median["fast"]
-        row = {"cloud": cloud, "M": size, "gudhi_ms": gudhi["total"], "fast_ms": fast["total"]}
+        tetrahedra = len(Delaunay(points).simplices)
+        row = {"cloud": cloud, "M": size, "tetrahedra": tetrahedra, "gudhi_ms": gudhi["total"], "fast_ms": fast["total"]}
         row["ratio"] = gudhi["total"] / fast["total"]
         row["ratio_without_pairs"] = (gudhi["total"] - gudhi["pairs"]) / (fast["total"] - fast["pairs"])
         for s in STAGES:
