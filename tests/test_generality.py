@@ -55,6 +55,12 @@ def test_verdicts_stand_beside_those_of_the_papers_tails(study):
     assert lines.loc["rocker-arm", "Chamfer C1 / C0"] == "1.00 (paper 1)" and lines.loc["spot", "Chamfer C1 / C0"] == ""
 
 
+def test_the_ramp_off_the_analytic_family(study):
+    assert generality.no_ramp_text(study) == (
+        "no ramp (C3) on bob: ours not recorded against C1 .0201±.0001; paper .0171±.0026 against .0208±.0008"
+    )
+
+
 def test_every_arm_is_counted_against_the_bundle(study):
     judged = generality.judged(study)["bob"]  # the hand-made bundle has two bars
     assert judged.missing == {"C0": (), "C1": (), "C2": (0, 1, 2)} and judged.phantoms["C0"] == ()

@@ -14,7 +14,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import significant_counts
 from paper_artifact.evaluate.evaluate import DISCRIMINATING, make_target
 from paper_artifact.report.matrix import papers_tails
-from paper_artifact.report.published import published
+from paper_artifact.report.published import published, published_value
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import longest, measure, surface
 from paper_artifact.study.protocol import protocol_of
@@ -63,6 +63,15 @@ def generality_table(collected: Collected) -> pd.DataFrame:
             ours = "not all recorded"
         rows[group] = {("C1", "ours"): ours, ("C1", "paper"): f"{groups['value'][group]:.2f}× ± {groups['sd'][group]:.2f}"}
     return pd.DataFrame.from_dict(rows, orient="index").fillna("")
+
+
+def no_ramp_text(collected: Collected, shape: str = "bob") -> str:
+    """Return one line: the tails without ramp (C3) and with it (C1) on the shape, ours beside those of the paper's text (§5.1)."""
+    arms = judged(collected)[shape].arms if shape in judged(collected) else {}
+    ours = [arm_text(arms[name].mean, arms[name].sd, None) if name in arms else "not recorded" for name in ("C3", "C1")]
+    theirs = [published_value(table, shape=shape, condition=name) for table, name in (("ablations", "C3"), ("2", "C1"))]
+    paper = [arm_text(*each, None) for each in theirs]
+    return f"no ramp (C3) on {shape}: ours {ours[0]} against C1 {ours[1]}; paper {paper[0]} against {paper[1]}"
 
 
 def verdict_lines(collected: Collected) -> pd.DataFrame:
