@@ -67,7 +67,7 @@ def test_every_arm_is_counted_against_the_bundle(study):
 
 
 def test_expected_counts_are_the_bundles():
-    assert [gallery.expected_count(shape) for shape in ("bob", "rocker-arm", "spot")] == [2, 1, 1]
+    assert [generality.expected_count(shape) for shape in ("bob", "rocker-arm", "spot")] == [2, 1, 1]
 
 
 def test_the_gallery_says_what_is_not_kept():

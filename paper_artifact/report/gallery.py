@@ -21,15 +21,13 @@ from paper_artifact.export.triangles import THRESHOLD, soup_triangles
 from paper_artifact.files import RESULTS
 from paper_artifact.randomness import stream
 from paper_artifact.report.figures import new_figure
-from paper_artifact.report.generality import GROUPS
+from paper_artifact.report.generality import SHAPES, expected_count
 from paper_artifact.report.render import render_flat
 from paper_artifact.report.runs import RETRAINED, Collected, soup_path
-from paper_artifact.report.staircase import measure, surface
+from paper_artifact.report.staircase import surface
 from paper_artifact.soup.state import Soup, load_soup
-from paper_artifact.study.protocol import protocol_of
 from paper_artifact.topology.floor import measurement_floor
 
-SHAPES = tuple(shape for members in GROUPS.values() for shape in members)
 ARMS = ("C0", "C2", "C1")  # the paper's order of columns
 BLUE, ORANGE = "#1f5fbf", "#e67e22"
 # From the object towards the camera, and upwards in the image (world axes): y is up in most of the files.
@@ -43,13 +41,6 @@ VIEWS = {
     "armadillo": ((0.3, 0.2, -1.3), (0, 1, 0)),
     "horse": ((1.3, -0.6, 0.3), (0, 0, 1)),
 }
-
-
-def expected_count(shape: str) -> int:
-    """Return the bars of the shape's bundle in the discriminating dimension: what the clean surface shows at the density of the
-    loss."""
-    protocol = protocol_of(shape)
-    return significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[DISCRIMINATING[shape]]
 
 
 def soup_of(

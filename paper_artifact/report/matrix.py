@@ -17,7 +17,7 @@ from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected, collect, dump_table
 from paper_artifact.report.staircase import surface
 from paper_artifact.study.studies import study_configs
-from paper_artifact.study.tables import arm_text, published_rows, verdict_table
+from paper_artifact.study.tables import arm_text, published_rows
 from paper_artifact.study.verdict import rows_of, verdict, welch_sigma
 
 CONDITIONS = ("C0", "C1", "C2", "C2g", "C3", "C5", "C6", "C7", "C7h")

@@ -15,7 +15,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
-from paper_artifact.scene.colmap import Model, read_model
+from paper_artifact.scene.colmap import read_model
 
 HOLDOUT_EVERY = 8
 

@@ -10,7 +10,6 @@ Paper §3: L_topo of births and deaths (radius / diagonal, dimensionless) under 
 from __future__ import annotations
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from paper_artifact.errors import InputError
