@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.train.run import prepare_scene
@@ -21,3 +22,12 @@ def tiny_results(tmp_path_factory):
 def tiny_scene(tiny_results):
     """The tiny run's scene, loaded."""
     return prepare_scene(tiny_config(), make_shape("sphere"), tiny_results / "scenes")
+
+
+@pytest.fixture
+def own_threads(monkeypatch):
+    """Undo what `bench` sets for its own process."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)

@@ -5,22 +5,12 @@ from __future__ import annotations
 import json
 
 import pytest
-import torch
 
 from paper_artifact import cli
 from paper_artifact.bench import raster, topology
 from paper_artifact.bench.run import run_row
 from paper_artifact.cli import bench
 from paper_artifact.soup.initialise import initial_soup
-
-
-@pytest.fixture
-def own_threads(monkeypatch):
-    """Undo what the verb sets for its own process."""
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def test_raster_rows(tiny_scene, monkeypatch, tmp_path):

@@ -22,15 +22,6 @@ NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topologic
 
 
 @pytest.fixture
-def own_threads(monkeypatch):
-    """Undo what the verb sets for its own process."""
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture
 def absent(monkeypatch):
     for name in NAMES:
         monkeypatch.setitem(sys.modules, name, None)

@@ -20,7 +20,7 @@ from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import counts, signature_table, staircase, surface
 from paper_artifact.scene.shapes import BOWL_RIMS
 from paper_artifact.study.protocol import protocol_of
-from paper_artifact.study.tables import published_rows
+from paper_artifact.study.tables import counts_text, published_rows, tails_text
 from paper_artifact.study.verdict import rows_of, verdict
 from paper_artifact.topology.bundle import build_from_mesh
 
@@ -138,9 +138,9 @@ def outcome_table(collected: Collected, table: pd.DataFrame) -> pd.DataFrame:
                 {
                     "bowl": shape,
                     "condition": condition,
-                    "our tails": _joined(arm.tails) if arm else "not recorded",
-                    "paper's tails": _joined(printed.sort_values("seed")["value"]),
-                    "our counts": "/".join(map(str, arm.counts)) if arm else "",
+                    "our tails": tails_text(arm.tails) if arm else "not recorded",
+                    "paper's tails": tails_text(printed.sort_values("seed")["value"]),
+                    "our counts": counts_text(arm) if arm else "",
                     "Chamfer / C0": f"{arm.chamfer / base.chamfer:.2f}" if arm and base else "",
                     "paper's": f"{ratios[shape, condition]:g}" if (shape, condition) in ratios.index else "",
                     "half the void": f"{void.min():.4f}–{void.max():.4f}".replace("0.", "."),
@@ -157,7 +157,7 @@ def verdict_table(collected: Collected, table: pd.DataFrame) -> pd.DataFrame:
     """
     chosen = table[(table["samples"] == 20_000) & (table["seed"] == 0)]
     expected = dict(zip(chosen["shape"], counts(chosen, 2)))
-    judged = verdict([row | {"expected": int(expected[row["shape"]])} for row in rows_of(collected.records)])
+    judged = verdict(rows_of(collected.records))
     theirs = verdict(published_rows(published("S10")))
     rows = []
     for shape, each in judged.items():
@@ -168,7 +168,3 @@ def verdict_table(collected: Collected, table: pd.DataFrame) -> pd.DataFrame:
             row[f"wrong count in {condition}, seeds"] = ", ".join(map(str, wrong)) or "none"
         rows.append(row)
     return pd.DataFrame(rows).set_index("bowl") if rows else pd.DataFrame()
-
-
-def _joined(values: Iterable[float]) -> str:
-    return "/".join(f"{value:.4f}".removeprefix("0") for value in values)

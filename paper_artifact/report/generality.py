@@ -20,7 +20,7 @@ from paper_artifact.report.published import published, published_value
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import longest, measure, surface
 from paper_artifact.study.protocol import protocol_of
-from paper_artifact.study.tables import arm_text, counts_text, published_rows
+from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text
 from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
 
 # Pre-registered (App. G): the observable class that the staircase gave each shape.
@@ -70,7 +70,8 @@ def generality_table(collected: Collected) -> pd.DataFrame:
 
 def no_ramp_text(collected: Collected, shape: str = "bob") -> str:
     """Return one line: the tails without ramp (C3) and with it (C1) on the shape, ours beside those of the paper's text (§5.1)."""
-    arms = judged(collected)[shape].arms if shape in judged(collected) else {}
+    found = judged(collected)
+    arms = found[shape].arms if shape in found else {}
     ours = [arm_text(arms[name].mean, arms[name].sd, None) if name in arms else "not recorded" for name in ("C3", "C1")]
     theirs = [published_value(table, shape=shape, condition=name) for table, name in (("ablations", "C3"), ("2", "C1"))]
     paper = [arm_text(*each, None) for each in theirs]
@@ -90,7 +91,10 @@ def verdict_lines(collected: Collected) -> pd.DataFrame:
             ours = f"{each.arms[condition].chamfer / each.arms['C0'].chamfer:.2f}" if known else ""
             paper = f" (paper {printed[shape, condition]:g})" if (shape, condition) in printed.index else ""
             row[f"Chamfer {condition} / C0"] = ours + paper
-        row |= {"phantoms in C1, seeds": _seeds(each.phantoms.get("C1")), "lost in C1, seeds": _seeds(each.missing.get("C1"))}
+        row |= {
+            "phantoms in C1, seeds": seeds_text(each.phantoms.get("C1")),
+            "lost in C1, seeds": seeds_text(each.missing.get("C1")),
+        }
         rows[shape] = row | {"reason": each.reason}
     return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -141,7 +145,3 @@ def _target(shape: str) -> Target:
 
 def _margin(bars: np.ndarray, rank: int, floor: float) -> str:
     return f"{longest(bars, rank)[rank - 1] / floor:.2f}"
-
-
-def _seeds(values: tuple[int, ...] | None) -> str:
-    return "unknown" if values is None else "none" if not values else ", ".join(map(str, values))

@@ -17,7 +17,7 @@ from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected, collect, dump_table
 from paper_artifact.report.staircase import surface
 from paper_artifact.study.studies import study_configs
-from paper_artifact.study.tables import arm_text, published_rows
+from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text, tails_text
 from paper_artifact.study.verdict import rows_of, verdict, welch_sigma
 
 CONDITIONS = ("C0", "C1", "C2", "C2g", "C3", "C5", "C6", "C7", "C7h")
@@ -78,9 +78,9 @@ def verdicts(collected: Collected) -> pd.DataFrame:
                 "paper's tails give": theirs[shape].outcome if shape in theirs else "",
                 "Chamfer C1 / C0": "" if judged.parity_ratio is None else f"{judged.parity_ratio:.2f}",
                 "Welch C0 − C1": f"{judged.welch['C0']:.1f}" if "C0" in judged.welch else "",
-                "phantoms in C1, seeds": _seeds(judged.phantoms.get("C1")),
-                "lost in C1, seeds": _seeds(judged.missing.get("C1")),
-                "lost in C2, seeds": _seeds(judged.missing.get("C2")),
+                "phantoms in C1, seeds": seeds_text(judged.phantoms.get("C1")),
+                "lost in C1, seeds": seeds_text(judged.missing.get("C1")),
+                "lost in C2, seeds": seeds_text(judged.missing.get("C2")),
             }
         )
     return pd.DataFrame(rows).set_index("shape") if rows else pd.DataFrame()
@@ -175,7 +175,7 @@ def trajectory_table(collected: Collected, shape: str, value: str = "bottleneck"
 
 def seed_table(collected: Collected) -> pd.DataFrame:
     """Return per shape and condition our tails seed by seed, beside Table S7's (which has the three-seed analytic shapes)."""
-    paper = pd.DataFrame(published_rows(published("S7"))).groupby(["shape", "condition"])["tail"].agg(_join)
+    paper = pd.DataFrame(published_rows(published("S7"))).groupby(["shape", "condition"])["tail"].agg(tails_text)
     rows = []
     for shape, judged in verdict(rows_of(collected.records)).items():
         for condition in (each for each in CONDITIONS if each in judged.arms):
@@ -185,9 +185,9 @@ def seed_table(collected: Collected) -> pd.DataFrame:
                     "shape": shape,
                     "condition": condition,
                     "seeds": "/".join(map(str, arm.seeds)),
-                    "our tails": _join(arm.tails),
+                    "our tails": tails_text(arm.tails),
                     "Table S7": paper.get((shape, condition), ""),
-                    "counts": "/".join(str(count) for count in arm.counts),
+                    "counts": counts_text(arm),
                 }
             )
     return pd.DataFrame(rows).set_index(["shape", "condition"]) if rows else pd.DataFrame()
@@ -255,11 +255,3 @@ def diagram_table(
                     f"step {step}": f"({bars[step][0]:.4f}, {bars[step][1]:.4f})" for step in steps if step in bars
                 }
     return pd.DataFrame.from_dict(rows, orient="index")
-
-
-def _join(values) -> str:
-    return "/".join(f"{value:.4f}".removeprefix("0") for value in values)
-
-
-def _seeds(values: tuple[int, ...] | None) -> str:
-    return "unknown" if values is None else "none" if not values else ", ".join(map(str, values))

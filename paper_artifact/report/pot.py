@@ -25,6 +25,7 @@ from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import measure, signature_table, staircase
 from paper_artifact.study.protocol import protocol_of
+from paper_artifact.study.tables import counts_text
 from paper_artifact.study.verdict import Arm, rows_of, verdict
 
 DENSITIES = (2048, 4096, 8192, 20_000)
@@ -63,7 +64,9 @@ def challenge_table(pot: hot_pot.RawPot, solid: Solid, table: pd.DataFrame, coll
         "margin_low": f"{void.min():.2f}",
         "margin_high": f"{void.max():.2f}",
         "ratio_C0_over_C1": _outcome(arms, "C1", lambda base, arm: f"{base.mean / arm.mean:.1f}"),
-        "chamfer_ratio_to_C0": _outcome(arms, "C2", lambda base, arm: f"{arm.chamfer / base.chamfer:.2f}, voids {_counts(arm)}"),
+        "chamfer_ratio_to_C0": _outcome(
+            arms, "C2", lambda base, arm: f"{arm.chamfer / base.chamfer:.2f}, voids {counts_text(arm)}"
+        ),
     }
     printed = published("S4").groupby("quantity", sort=False)["value"].agg(list)
     notes = published("S4").drop_duplicates("quantity").set_index("quantity")["note"]
@@ -198,10 +201,6 @@ def _outcome(arms: Mapping[str, Arm], condition: str, text: Callable[[Arm, Arm],
         return "no run recorded"
     seeds = min(len(arms["C0"].seeds), len(arms[condition].seeds))
     return text(arms["C0"], arms[condition]) + ("" if seeds == 3 else f" ({seeds} of 3 seeds)")
-
-
-def _counts(arm: Arm) -> str:
-    return "/".join(map(str, arm.counts))
 
 
 def _range(values: pd.Series) -> str:

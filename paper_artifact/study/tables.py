@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import pandas as pd
 
@@ -87,6 +87,16 @@ def arm_text(mean: float, sd: float | None, ratio: float | None) -> str:
 def counts_text(arm: Arm) -> str:
     """Return the significant counts per seed, "2/2/1", "?" where unknown."""
     return "/".join("?" if count is None else str(count) for count in arm.counts)
+
+
+def tails_text(values: Iterable[float]) -> str:
+    """Return tails seed by seed, ".0161/.0171"."""
+    return "/".join(f"{value:.4f}".removeprefix("0") for value in values)
+
+
+def seeds_text(seeds: tuple[int, ...] | None) -> str:
+    """Return the seeds "0, 2", "none" for no seed, "unknown" for None."""
+    return "unknown" if seeds is None else "none" if not seeds else ", ".join(map(str, seeds))
 
 
 def _line(source: str, judged: Verdict) -> dict:
