@@ -28,9 +28,13 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".partial" + path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}-", suffix=".partial" + path.suffix, dir=path.parent
+        )
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}; choose a folder that you can write to") from error
+        raise InputError(
+            f"cannot write {path}: {error.strerror}; choose a folder that you can write to"
+        ) from error
     os.close(handle)
     temporary = Path(name)
     try:

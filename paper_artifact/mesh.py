@@ -68,7 +68,11 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def checked_mesh(
-    vertices: np.ndarray, faces: np.ndarray, name: str, betti: tuple[int, int, int] | None = None, welded: bool = True
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    name: str,
+    betti: tuple[int, int, int] | None = None,
+    welded: bool = True,
 ) -> Mesh:
     """Return the Mesh of vertices (V,3) and faces (F,3), welded exactly unless `welded` is False.
 
@@ -82,7 +86,9 @@ def checked_mesh(
     _check_indices(vertices, faces, name)
     if not np.isfinite(vertices).all():
         count = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise InputError(f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again")
+        raise InputError(
+            f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again"
+        )
     kept_vertices, kept_faces = weld(vertices, faces) if welded else (vertices, faces)
     extent = np.ptp(kept_vertices, axis=0) if len(kept_faces) else np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -109,7 +115,9 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")
     kind = path.suffix.lower().lstrip(".")
     if kind not in trimesh.exchange.load.mesh_formats() | {"zip"}:
-        raise InputError(f"{path}: '{path.suffix}' is no mesh format that trimesh reads; use OBJ, PLY, OFF, STL or GLB")
+        raise InputError(
+            f"{path}: '{path.suffix}' is no mesh format that trimesh reads; use OBJ, PLY, OFF, STL or GLB"
+        )
     try:
         if kind in ("obj", "off"):
             _check_whole(path, kind)
@@ -127,7 +135,9 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
             "export it again or correct its extension"
         ) from error
     if not parts:
-        raise InputError(f"{path} has no triangles; it is empty, damaged, or holds points or curves instead of a surface")
+        raise InputError(
+            f"{path} has no triangles; it is empty, damaged, or holds points or curves instead of a surface"
+        )
     if kind == "zip" and len(parts) > 1:
         raise InputError(f"{path} holds {len(parts)} meshes; unpack it and name one of them")
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
@@ -171,7 +181,9 @@ def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def _check_whole(path: Path, kind: str) -> None:
     """Refuse OBJ and OFF texts that were cut off: trimesh reads what is left of them without a word."""
-    lines = [line.split("#")[0].split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    lines = [
+        line.split("#")[0].split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+    ]
     lines = [line for line in lines if line]
     if not lines:
         raise InputError(f"{path} is empty; give a mesh file with vertices and faces")
@@ -184,9 +196,15 @@ def _check_whole(path: Path, kind: str) -> None:
         rows = lines[1:] if len(lines[0]) > 1 else lines[2:]
         if len(header) >= 2 and header[0].isdigit() and header[1].isdigit() and int(header[1]) > 0:
             rows = rows[: int(header[0]) + int(header[1])]
-            whole = len(rows) == int(header[0]) + int(header[1]) and rows[-1][0].isdigit() and (len(rows[-1]) > int(rows[-1][0]))
+            whole = (
+                len(rows) == int(header[0]) + int(header[1])
+                and rows[-1][0].isdigit()
+                and (len(rows[-1]) > int(rows[-1][0]))
+            )
     if not whole:
-        raise InputError(f"{path} is cut off: its last line or its number of lines is short; copy or export it again")
+        raise InputError(
+            f"{path} is cut off: its last line or its number of lines is short; copy or export it again"
+        )
 
 
 @contextmanager

@@ -50,7 +50,9 @@ def notebook_files(folder: Path = NOTEBOOKS, only: Sequence[str] = ()) -> list[P
         exact = [path for path in files if path.stem == word.removesuffix(".ipynb")]
         hits = exact or [path for path in files if word and path.stem.startswith(word)]
         if not hits:
-            raise InputError(f"no notebook is called '{word}'; there are {', '.join(path.stem for path in files)}")
+            raise InputError(
+                f"no notebook is called '{word}'; there are {', '.join(path.stem for path in files)}"
+            )
         chosen.update(hits)
     return [path for path in files if not only or path in chosen]
 
@@ -71,7 +73,14 @@ def own_kernel() -> Iterator[str]:
             json.dumps(
                 {
                     **get_kernel_dict(),
-                    "argv": [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"],
+                    "argv": [
+                        sys.executable,
+                        "-m",
+                        "ipykernel_launcher",
+                        "-f",
+                        "{connection_file}",
+                        "--log-level=ERROR",
+                    ],
                 }
             )
         )
@@ -85,7 +94,9 @@ def own_kernel() -> Iterator[str]:
                 os.environ["JUPYTER_PATH"] = before
 
 
-def execute(path: Path, profile: str, *, executed: Path = EXECUTED, refresh: bool = False, quiet: bool = False) -> Outcome:
+def execute(
+    path: Path, profile: str, *, executed: Path = EXECUTED, refresh: bool = False, quiet: bool = False
+) -> Outcome:
     """Execute one notebook with the parameter `profile` and keep the executed copy in `executed`.
 
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the error.
@@ -100,7 +111,9 @@ def execute(path: Path, profile: str, *, executed: Path = EXECUTED, refresh: boo
     try:
         executed.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make the folder {executed}: {error.strerror}; choose one that you can write to") from error
+        raise InputError(
+            f"cannot make the folder {executed}: {error.strerror}; choose one that you can write to"
+        ) from error
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, error = time.monotonic(), ""
     try:
@@ -131,7 +144,9 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
     the interpreter's patch version. Code cells are numbered 1, 2, … as a run without injection would.
     """
     result = nbformat.from_dict(json.loads(nbformat.writes(notebook)))
-    result.cells = [cell for cell in result.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
+    result.cells = [
+        cell for cell in result.cells if "injected-parameters" not in cell.metadata.get("tags", [])
+    ]
     result.metadata = NotebookNode(
         {
             "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": KERNEL},

@@ -9,7 +9,11 @@ from paper_artifact.mesh import face_areas
 
 
 def sample_surface(
-    vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator, weights: np.ndarray | None = None
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    count: int,
+    generator: np.random.Generator,
+    weights: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Draw `count` independent points on the triangles, with density proportional to area × weight.
 
@@ -30,7 +34,9 @@ def sample_surface(
         mass = mass * np.asarray(weights, dtype=np.float64)
     cumulated = np.cumsum(mass)
     if len(mass) == 0 or not np.isfinite(cumulated[-1]) or mass.min() < 0 or cumulated[-1] <= 0:
-        raise InputError("the surface to sample has no finite, positive area × weight; check its triangles and opacities")
+        raise InputError(
+            "the surface to sample has no finite, positive area × weight; check its triangles and opacities"
+        )
     u = generator.random((3, count))
     # side="right" skips faces of no mass; u < 1 keeps u·total below the total but for rounding, hence the cap at
     # the last face that has mass.

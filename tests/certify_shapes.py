@@ -68,7 +68,18 @@ def tetrahedron(shift: float = 0.0, sign: float = 1.0) -> tuple[np.ndarray, np.n
 
 
 PROJECTIVE_PLANE = np.array(
-    [[0, 1, 4], [0, 1, 5], [0, 2, 3], [0, 2, 4], [0, 3, 5], [1, 2, 3], [1, 2, 5], [1, 3, 4], [2, 4, 5], [3, 4, 5]]
+    [
+        [0, 1, 4],
+        [0, 1, 5],
+        [0, 2, 3],
+        [0, 2, 4],
+        [0, 3, 5],
+        [1, 2, 3],
+        [1, 2, 5],
+        [1, 3, 4],
+        [2, 4, 5],
+        [3, 4, 5],
+    ]
 )
 
 
@@ -81,12 +92,19 @@ def bowl() -> tuple[np.ndarray, np.ndarray]:
 KNOWN = {f"genus {g}": (plate(g), (1, 2 * g, 1), "pass", f"genus {g}") for g in range(6)} | {
     "two balls": (joined(ball(), ball(centre=(3, 0, 0))), (2, 0, 2), "pass", "2 × closed surface, genus 0"),
     "nested shells": (joined(ball(), ball(0.5, inwards=True)), (2, 0, 2), "pass", "2 × closed surface"),
-    "ball and plates": (joined(ball(), plate(2), (plate(1)[0] + 9, plate(1)[1])), (3, 6, 3), "pass", "genus 2"),
+    "ball and plates": (
+        joined(ball(), plate(2), (plate(1)[0] + 9, plate(1)[1])),
+        (3, 6, 3),
+        "pass",
+        "genus 2",
+    ),
     "pinched vertex": (joined(tetrahedron(), tetrahedron(sign=-1)), (1, 0, 2), "fail", "1 pinched vertex"),
     "common edge": (
         (
             np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float),
-            np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3], [0, 1, 4], [0, 1, 5], [0, 4, 5], [1, 4, 5]]),
+            np.array(
+                [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3], [0, 1, 4], [0, 1, 5], [0, 4, 5], [1, 4, 5]]
+            ),
         ),
         (1, 0, 2),
         "fail",
@@ -96,7 +114,12 @@ KNOWN = {f"genus {g}": (plate(g), (1, 2 * g, 1), "pass", f"genus {g}") for g in 
     "annulus": (band(9, twist=False), (1, 1, 0), "fail", "18 open edges in 2 boundary loops"),
     "Klein bottle": (band(9, twist=True, width=5, closed=True), (1, 2, 1), "fail", "not orientable"),
     "torus": (band(9, twist=False, width=5, closed=True), (1, 2, 1), "pass", "genus 1"),
-    "projective plane": ((np.eye(6)[:, :3] + np.arange(6)[:, None], PROJECTIVE_PLANE), (1, 1, 1), "fail", "odd Euler"),
+    "projective plane": (
+        (np.eye(6)[:, :3] + np.arange(6)[:, None], PROJECTIVE_PLANE),
+        (1, 1, 1),
+        "fail",
+        "odd Euler",
+    ),
     "bowl": (bowl(), (1, 0, 0), "fail", "in 1 boundary loop"),
     "one triangle": ((np.eye(3), np.array([[0, 1, 2]])), (1, 0, 0), "fail", "3 open edges"),
     "triangle twice": ((np.eye(3), np.array([[0, 1, 2], [1, 2, 0]])), (1, 0, 0), "fail", "1 duplicate face"),

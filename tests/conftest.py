@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.train.run import prepare_scene
+from paper_artifact.pipeline import prepare_scene
 from tests.tiny_run import tiny_config
 
 

@@ -24,7 +24,12 @@ def exported(kind: str, mesh: trimesh.Trimesh = BALL, **options) -> bytes:
 
 def obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(vertices, dtype=float).tolist()]
-    return "\n".join(lines + [f"f {' '.join(str(i + 1) for i in face)}" for face in np.asarray(faces).tolist()]).encode() + b"\n"
+    return (
+        "\n".join(
+            lines + [f"f {' '.join(str(i + 1) for i in face)}" for face in np.asarray(faces).tolist()]
+        ).encode()
+        + b"\n"
+    )
 
 
 def half(data: bytes, part: float = 0.5) -> bytes:
@@ -32,7 +37,12 @@ def half(data: bytes, part: float = 0.5) -> bytes:
 
 
 BINARY_STL, TEXT_STL, BINARY_PLY = exported("stl"), exported("stl_ascii"), exported("ply")
-TEXT_PLY, OFF, GLB, OBJ = exported("ply", encoding="ascii"), exported("off"), exported("glb"), obj(BALL.vertices, BALL.faces)
+TEXT_PLY, OFF, GLB, OBJ = (
+    exported("ply", encoding="ascii"),
+    exported("off"),
+    exported("glb"),
+    obj(BALL.vertices, BALL.faces),
+)
 NAN_STL = BINARY_STL[:96] + np.array([np.nan], "<f4").tobytes() + BINARY_STL[100:]
 
 # file name: (content, a word of the sentence)
@@ -92,15 +102,20 @@ TAKEN: dict[str, bytes] = {
     "UPPER.OBJ": TETRAHEDRON.encode(),
     "relative_indices.obj": (CORNERS + "f -4 -2 -3\nf -4 -3 -1\nf -4 -1 -2\nf -3 -2 -1\n").encode(),
     "duplicate_faces.obj": (TETRAHEDRON + "f 2 3 4\nf 3 4 2\n").encode(),
-    "flat_faces.obj": (CORNERS + "v 0.5 0 0\nf 1 3 2\nf 1 5 4\nf 5 2 4\nf 1 4 3\nf 2 3 4\nf 1 2 5\n").encode(),
+    "flat_faces.obj": (
+        CORNERS + "v 0.5 0 0\nf 1 3 2\nf 1 5 4\nf 5 2 4\nf 1 4 3\nf 2 3 4\nf 1 2 5\n"
+    ).encode(),
     "repeated_corner.obj": (TETRAHEDRON + "f 1 1 2\n").encode(),
     "unused_points.obj": (CORNERS + "v 99 99 99\nv -7 0 0\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n").encode(),
-    "twelve_sided.obj": obj(np.array([[np.cos(a), np.sin(a), 0] for a in np.arange(12) * np.pi / 6]), [list(range(12))]),
+    "twelve_sided.obj": obj(
+        np.array([[np.cos(a), np.sin(a), 0] for a in np.arange(12) * np.pi / 6]), [list(range(12))]
+    ),
     "huge.obj": obj(_ball[0] * 1e12, _ball[1]),
     "tiny.obj": obj(_ball[0] * 1e-12, _ball[1]),
     "far_away.obj": obj(_ball[0] + 1e6, _ball[1]),
     "needle.obj": obj(
-        np.array([[0, 0, 0], [1, 0, 0], [1, 1e-7, 0], [0.5, 0, 1e-3]]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+        np.array([[0, 0, 0], [1, 0, 0], [1, 1e-7, 0], [0.5, 0, 1e-3]]),
+        [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
     ),
     "identical_shells.obj": obj(*shapes.joined(_ball, _ball)),
     "intersecting_shells.obj": obj(*shapes.joined(_ball, _shifted)),

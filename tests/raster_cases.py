@@ -8,7 +8,9 @@ import torch
 from paper_artifact.randomness import stream
 
 
-def look_at(centre, target=(0.0, 0.0, 0.0), focal: float = 3.0, near: float = 0.5, far: float = 10.0) -> np.ndarray:
+def look_at(
+    centre, target=(0.0, 0.0, 0.0), focal: float = 3.0, near: float = 0.5, far: float = 10.0
+) -> np.ndarray:
     """Return world_to_clip (4,4) float64 of a square camera at `centre`; NDC y points down, w is the depth in front."""
     centre, target = np.asarray(centre, float), np.asarray(target, float)
     forward = (target - centre) / np.linalg.norm(target - centre)

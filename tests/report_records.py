@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from paper_artifact.record.record import make_record, write_record
+from paper_artifact.record.store import make_record, write_record
 from paper_artifact.report.runs import study_config
 
 DIMENSION = {
@@ -28,7 +28,9 @@ BETTI = {
 }
 
 
-def study_record(shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None) -> dict:
+def study_record(
+    shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None
+) -> dict:
     """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in the others."""
     config, dimension = study_config(shape, condition, seed), DIMENSION[shape]
     betti = BETTI.get(shape) or (1, 0, 1)
@@ -73,7 +75,16 @@ def study_record(shape: str, condition: str, seed: int, tail: float, chamfer: fl
         "resumed_at": None,
     }
     if condition in ("C1", "C3", "C6"):
-        log = [{"event": "lambda", "step": 500, "lambda_peak": 100.0, "rho": 0.1, "photo_norm": 1.0, "topo_norm": 0.001}]
+        log = [
+            {
+                "event": "lambda",
+                "step": 500,
+                "lambda_peak": 100.0,
+                "rho": 0.1,
+                "photo_norm": 1.0,
+                "topo_norm": 0.001,
+            }
+        ]
         target, recruited = [[0.02, 0.2], [0.03, 0.1]], int(condition != "C6")
         for step in range(501, 2500, 10):
             bars = [
@@ -106,7 +117,10 @@ def study_record(shape: str, condition: str, seed: int, tail: float, chamfer: fl
             )
         bars = [[], [], []]
         bars[dimension] = target
-        sections |= {"topology": log, "bundle": {"bars": bars, "samples": 2048, "floor": 0.06, "dimensions": [dimension]}}
+        sections |= {
+            "topology": log,
+            "bundle": {"bars": bars, "samples": 2048, "floor": 0.06, "dimensions": [dimension]},
+        }
     return make_record(
         config,
         dumps,

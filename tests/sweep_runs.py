@@ -88,7 +88,9 @@ def blocked_run(folder: Path, monkeypatch) -> Marker:
     """Let the first run that is started from now on stop after its checkpoint of STEP, until its process is killed."""
     (folder / "path").mkdir()
     (folder / "path" / "sitecustomize.py").write_text(_BLOCK.replace("STEP", str(STEP)))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder / "path"), *filter(None, [os.environ.get("PYTHONPATH")])]))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(folder / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    )
     monkeypatch.setenv("BLOCKED_RUN", str(folder / "blocked"))
     return Marker(folder / "blocked")
 

@@ -25,7 +25,7 @@ from paper_artifact.report.staircase import measure
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.topology.bundle import load_bundle
 from paper_artifact.train.config import default_config
-from paper_artifact.train.run import make_run_term, with_condition
+from paper_artifact.pipeline import make_run_term, with_condition
 from tests import certify_shapes as shapes
 
 SMALL = dict(densities=(256, 512), working=(256, 512))
@@ -73,8 +73,13 @@ def test_the_rule_takes_the_papers_decisions(shape):
 def test_more_bars_than_certified_are_a_warning():
     rungs = [rung(2048, 1, 0, 1), rung(4096, 1, 0, 2), rung(8192, 1, 0, 2)]
     warnings = decide(rungs, CLOSED).warnings
-    assert len(warnings) == 2 and "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
-    assert "another sampling seed" in decide([rung(2048, 1, 0, 1, 1.05), rung(8192, 1, 0, 1, 2.0)], CLOSED).warnings[0]
+    assert (
+        len(warnings) == 2 and "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
+    )
+    assert (
+        "another sampling seed"
+        in decide([rung(2048, 1, 0, 1, 1.05), rung(8192, 1, 0, 1, 2.0)], CLOSED).warnings[0]
+    )
 
 
 def test_a_certified_class_that_is_never_measurable_gives_way_to_what_is_seen():
@@ -114,15 +119,25 @@ def test_margins_are_those_of_the_bundles_own_samples():
 def test_the_page_holds_everything_itself():
     audit = audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)
     page = audit_page(audit)
-    assert audit.certificate.passed and audit.certificate.kind == "disk" and audit.decision.basis == "observation"
-    assert page.startswith("<!DOCTYPE html>") and "<b>name</b>" not in page and "a &lt;b&gt;name&lt;/b&gt;" in page
+    assert (
+        audit.certificate.passed
+        and audit.certificate.kind == "disk"
+        and audit.decision.basis == "observation"
+    )
+    assert (
+        page.startswith("<!DOCTYPE html>")
+        and "<b>name</b>" not in page
+        and "a &lt;b&gt;name&lt;/b&gt;" in page
+    )
     assert (
         page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 1
         and "<iframe" in page
         and "Betti numbers, Z/2" in page
     )
     assert not re.search(r"(src|href)=['\"]?https?:", page)
-    assert page == audit_page(audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)), "the same page again"
+    assert page == audit_page(audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)), (
+        "the same page again"
+    )
 
 
 def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, capsys):
@@ -145,7 +160,11 @@ def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, c
     assert "Nothing is measurable" in printed and "paper_artifact train" not in printed
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["audit.html", "audit.json"]
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
-    assert stored["decision"]["samples"] is None and stored["bundle"] is None and stored["certificate"]["verdict"] == "pass"
+    assert (
+        stored["decision"]["samples"] is None
+        and stored["bundle"] is None
+        and stored["certificate"]["verdict"] == "pass"
+    )
     assert "Nothing is measurable" in (tmp_path / "out" / "audit.html").read_text()
 
 
@@ -177,7 +196,9 @@ def test_bad_options_are_refused(options, tmp_path, capsys):
 
 
 def test_a_failing_certificate_is_audited_by_what_is_seen():
-    audit = audit_mesh(checked_mesh(*shapes.joined(shapes.tetrahedron(), shapes.tetrahedron(sign=-1)), "pinched"), **SMALL)
+    audit = audit_mesh(
+        checked_mesh(*shapes.joined(shapes.tetrahedron(), shapes.tetrahedron(sign=-1)), "pinched"), **SMALL
+    )
     assert (
         not audit.certificate.passed
         and audit.decision.basis == "observation"

@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.record.record import make_record, record_path, write_record
+from paper_artifact.record.store import make_record, record_path, write_record
 from paper_artifact.scene.build import mesh_hash
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.train.run import run, with_condition
+from paper_artifact.pipeline import run, with_condition
 from tests.tiny_run import TINY, tiny_arguments, tiny_config
 
 
@@ -24,14 +24,19 @@ def refused(tmp_path, capsys):
     """refused(arguments, *words): run the command, check the refusal described above, return the line."""
 
     def tree() -> dict:
-        return {path.relative_to(tmp_path): path.read_bytes() if path.is_file() else None for path in tmp_path.rglob("*")}
+        return {
+            path.relative_to(tmp_path): path.read_bytes() if path.is_file() else None
+            for path in tmp_path.rglob("*")
+        }
 
     def check(arguments, *words: str) -> str:
         before = tree()
         capsys.readouterr()
         assert cli.main([str(argument) for argument in arguments]) == 1
         out, error = capsys.readouterr()
-        assert error.startswith("paper_artifact: ") and error.endswith("\n") and len(error.splitlines()) == 1, error
+        assert (
+            error.startswith("paper_artifact: ") and error.endswith("\n") and len(error.splitlines()) == 1
+        ), error
         assert "Traceback" not in error and out == ""
         for word in words:
             assert word in error
@@ -75,13 +80,19 @@ def test_a_mesh_cut_in_half(refused, tmp_path):
 def test_a_missing_mesh_and_a_folder(refused, tmp_path):
     refused(["train", tmp_path / "none.obj", "--quiet", "--results", tmp_path / "results"], "no mesh file at")
     (tmp_path / "folder.obj").mkdir()
-    refused(["train", tmp_path / "folder.obj", "--quiet", "--results", tmp_path / "results"], "no mesh file at")
+    refused(
+        ["train", tmp_path / "folder.obj", "--quiet", "--results", tmp_path / "results"], "no mesh file at"
+    )
 
 
 def test_unknown_names(refused, tmp_path):
     results = ["--quiet", "--results", tmp_path / "results"]
     refused(["train", "sphere_", *results], "unknown shape 'sphere_'", "sphere, cube")
-    refused(["scene", "--shape", "spher", "--out", tmp_path / "out", "--quiet"], "unknown shape 'spher'", "sphere, cube")
+    refused(
+        ["scene", "--shape", "spher", "--out", tmp_path / "out", "--quiet"],
+        "unknown shape 'spher'",
+        "sphere, cube",
+    )
     refused(["fetch", "spott", "--quiet", "--out", tmp_path / "out"], "no mesh is called 'spott'", "spot")
     refused(["train", "sphere", "--condition", "C99", *results], "C99", "C1")
     refused(["train", "sphere", "--device", "tpu", *results], "unknown device 'tpu'")
@@ -131,28 +142,48 @@ def test_scene_numbers_out_of_range(arguments, words, refused, tmp_path):
 def test_an_output_folder_that_cannot_be_written(refused, tmp_path):
     # Below a regular file nobody can write, root included (whom permissions do not stop).
     (tmp_path / "file").write_text("mine")
-    (tmp_path / "ball.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    (tmp_path / "ball.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
     below = tmp_path / "file" / "below"
     for folder in (below, tmp_path / "file"):
         refused([*tiny_arguments(), "--results", folder], "cannot write", str(folder), "choose a folder")
-    refused(["scene", "--mesh", tmp_path / "ball.obj", "--quiet", "--out", below], "cannot write", "choose a folder")
-    refused(["scene", "--mesh", tmp_path / "ball.obj", "--quiet", "--out", tmp_path / "file"], "choose another folder")
+    refused(
+        ["scene", "--mesh", tmp_path / "ball.obj", "--quiet", "--out", below],
+        "cannot write",
+        "choose a folder",
+    )
+    refused(
+        ["scene", "--mesh", tmp_path / "ball.obj", "--quiet", "--out", tmp_path / "file"],
+        "choose another folder",
+    )
 
 
 def test_a_mirror_without_the_file(tmp_path, monkeypatch, refused, capsys):
     (tmp_path / "mirror").mkdir()
     monkeypatch.delenv("PAPER_ARTIFACT_MIRROR", raising=False)
     # `fetch` goes on with the other meshes, so each failure has its line and the sum is the last one.
-    assert cli.main(["fetch", "spot", "--quiet", "--mirror", str(tmp_path / "mirror"), "--out", str(tmp_path / "out")]) == 1
+    assert (
+        cli.main(
+            ["fetch", "spot", "--quiet", "--mirror", str(tmp_path / "mirror"), "--out", str(tmp_path / "out")]
+        )
+        == 1
+    )
     out, error = capsys.readouterr()
     lines = error.splitlines()
     assert out == "" and len(lines) == 2 and lines[1] == "paper_artifact: 1 of 1 meshes could not be fetched"
-    assert lines[0].startswith("spot: the mirror ") and "has no readable" in lines[0] and "add the file" in lines[0]
+    assert (
+        lines[0].startswith("spot: the mirror ")
+        and "has no readable" in lines[0]
+        and "add the file" in lines[0]
+    )
     assert not (tmp_path / "out").exists()
 
     from paper_artifact.scene import find
 
-    monkeypatch.setattr(find, "mesh_path", functools.partial(find.mesh_path, downloads=tmp_path / "downloads"))
+    monkeypatch.setattr(
+        find, "mesh_path", functools.partial(find.mesh_path, downloads=tmp_path / "downloads")
+    )
     monkeypatch.setenv("PAPER_ARTIFACT_MIRROR", str(tmp_path / "mirror"))
     refused(["train", "spot", "--quiet", "--results", tmp_path / "results"], "has no readable", "for 'spot'")
     monkeypatch.setenv("PAPER_ARTIFACT_MIRROR", str(tmp_path / "nowhere"))
@@ -193,7 +224,9 @@ def test_a_checkpoint_cut_in_half(refused, tiny_results, tmp_path):
         run(tiny_config(), results=results, progress=stop, device="cpu")
     (path,) = (results / "checkpoints").iterdir()
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    refused([*tiny_arguments(), "--results", results], str(path), "is damaged", "delete it to start the run anew")
+    refused(
+        [*tiny_arguments(), "--results", results], str(path), "is damaged", "delete it to start the run anew"
+    )
 
 
 def test_a_mesh_file_that_changed_since_its_record(refused, tmp_path):

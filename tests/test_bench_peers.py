@@ -16,7 +16,7 @@ from paper_artifact.cli import bench
 from paper_artifact.errors import InputError
 from paper_artifact.report import measured
 from paper_artifact.report.peers import peers_machine, peers_table
-from paper_artifact.topology.persistence import gudhi_persistence
+from paper_artifact.alpha.persistence import gudhi_persistence
 
 NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topological.nn")
 
@@ -34,17 +34,26 @@ def stand_ins(monkeypatch):
     modules = {name: types.ModuleType(name) for name in NAMES}
     modules["oineus"].diff = modules["oineus.diff"]
     modules["oineus.diff"].alpha_filtration = lambda points: points
-    modules["oineus.diff"].persistence_diagram = lambda points, n_threads: dict(enumerate(gudhi_diagrams(points, squared_radii)))
+    modules["oineus.diff"].persistence_diagram = lambda points, n_threads: dict(
+        enumerate(gudhi_diagrams(points, squared_radii))
+    )
     modules["torch_topological.nn"].AlphaComplex = lambda: (
-        lambda points: [types.SimpleNamespace(diagram=diagram) for diagram in gudhi_diagrams(points, longest_edges)]
+        lambda points: [
+            types.SimpleNamespace(diagram=diagram) for diagram in gudhi_diagrams(points, longest_edges)
+        ]
     )
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
 
 
 def gudhi_diagrams(points, values):
-    both = [(pairs.birth_simplices, pairs.death_simplices) for pairs in gudhi_persistence(points.detach().numpy())]
-    return [torch.stack([values(points[torch.from_numpy(simplices)]) for simplices in sides], dim=1) for sides in both]
+    both = [
+        (pairs.birth_simplices, pairs.death_simplices) for pairs in gudhi_persistence(points.detach().numpy())
+    ]
+    return [
+        torch.stack([values(points[torch.from_numpy(simplices)]) for simplices in sides], dim=1)
+        for sides in both
+    ]
 
 
 def squared_radii(corners):
@@ -84,17 +93,32 @@ def test_our_gradient_is_the_finite_difference():
 
 def test_our_diagrams_are_the_persistence():
     points = torus(200)
-    for ours, pairs in zip(peers.our_diagrams(torch.from_numpy(points)), gudhi_persistence(points), strict=True):
+    for ours, pairs in zip(
+        peers.our_diagrams(torch.from_numpy(points)), gudhi_persistence(points), strict=True
+    ):
         np.testing.assert_allclose(ours.numpy(), pairs.diagram, atol=1e-12)
 
 
 def test_a_peer_that_computes_the_same_is_told_from_one_that_does_not(stand_ins):
     missing = []
     ours, same, other = peers.peer_rows((120,), ("torus",), 2, missing=missing)
-    assert not missing and [row["library"] for row in (ours, same, other)] == [peers.OURS, "oineus.diff", "torch-topological"]
-    assert ours["ratio"] == ours["forward_ratio"] == 1 and ours["bar_difference"] == ours["gradient_difference"] == 0
-    assert same["bar_difference"] < 1e-12 and same["gradient_difference"] < 1e-9 and same["bars"] == ours["bars"]
-    assert other["bar_difference"] > 1e-3 and other["gradient_difference"] > 0.1 and "longest edge" in other["note"]
+    assert not missing and [row["library"] for row in (ours, same, other)] == [
+        peers.OURS,
+        "oineus.diff",
+        "torch-topological",
+    ]
+    assert (
+        ours["ratio"] == ours["forward_ratio"] == 1
+        and ours["bar_difference"] == ours["gradient_difference"] == 0
+    )
+    assert (
+        same["bar_difference"] < 1e-12 and same["gradient_difference"] < 1e-9 and same["bars"] == ours["bars"]
+    )
+    assert (
+        other["bar_difference"] > 1e-3
+        and other["gradient_difference"] > 0.1
+        and "longest edge" in other["note"]
+    )
     for row in (ours, same, other):
         assert row["turns"] == 2 and row["ratio"] == pytest.approx(row["ms"] / ours["ms"])
 
@@ -124,7 +148,9 @@ def test_a_peer_that_fails_is_one_line(stand_ins, monkeypatch):
 
 def test_differences():
     ours = np.array([[0.1, 0.2], [0.3, 0.9]])
-    assert peers.bar_difference(ours, ours[::-1]) == 0 and peers.bar_difference(ours, ours + 0.25) == pytest.approx(0.25)
+    assert peers.bar_difference(ours, ours[::-1]) == 0 and peers.bar_difference(
+        ours, ours + 0.25
+    ) == pytest.approx(0.25)
     assert peers.bar_difference(ours, ours[:1]) == np.inf and peers.bar_difference(ours[:0], ours[:0]) == 0
     twelve = np.column_stack([np.zeros(12), np.arange(1.0, 13.0)])
     assert peers.bar_difference(twelve, twelve[2:]) == 0  # the ten longest alone
@@ -151,9 +177,13 @@ def test_the_verb_prints_our_row_and_how_to_install_the_others(absent, own_threa
     printed = capsys.readouterr()
     assert "torus M =   100  paper_artifact" in printed.out and "1.0 × ours" in printed.out
     assert (
-        "oineus.diff: does not import (ModuleNotFoundError" in printed.out and "pip install oineus eagerpy diode" in printed.out
+        "oineus.diff: does not import (ModuleNotFoundError" in printed.out
+        and "pip install oineus eagerpy diode" in printed.out
     )
-    assert "install it with: pip install torch-topological" in printed.out and "Traceback" not in printed.out + printed.err
+    assert (
+        "install it with: pip install torch-topological" in printed.out
+        and "Traceback" not in printed.out + printed.err
+    )
 
 
 def test_peers_are_a_default_part_only_where_one_is_installed(absent, monkeypatch):
@@ -175,6 +205,10 @@ def test_the_stored_table_says_who_computes_the_same():
     assert (ours["both / ours"] == 1).all() and set(table.index.get_level_values("M")) == set(peers.SIZES)
     oineus = table[[name.startswith("oineus.diff ") for name in table.index.get_level_values("library")]]
     assert len(oineus) == len(ours) and (oineus[["longest bars", "gradient"]] == "same").all(axis=None)
-    distances = table[[name.startswith("torch-topological ") for name in table.index.get_level_values("library")]]
+    distances = table[
+        [name.startswith("torch-topological ") for name in table.index.get_level_values("library")]
+    ]
     assert len(distances) and not distances.isin(["same"]).any(axis=None)
-    assert "load" in peers_machine(stored) and "torch-topological: not measured on torus beyond M = 2048" in peers_machine(stored)
+    assert "load" in peers_machine(
+        stored
+    ) and "torch-topological: not measured on torus beyond M = 2048" in peers_machine(stored)

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.certify import disposition
+from paper_artifact.study import dispositions as disposition
 from paper_artifact.certify.certificate import certify, certify_mesh
 from paper_artifact.certify.homology import betti_numbers, dual_voids
 from paper_artifact.certify.simplices import make_complex
@@ -54,7 +54,10 @@ def test_known_surfaces_against_gudhi_and_trimesh(name):
     assert (certificate.open_edges + certificate.nonmanifold_edges == 0) == mesh.is_watertight
     if certificate.nonmanifold_edges == 0:
         assert (certificate.reversed_edges == 0) == mesh.is_winding_consistent
-    assert len(certificate.components) == trimesh.graph.connected_component_labels(mesh.edges, len(mesh.vertices)).max() + 1
+    assert (
+        len(certificate.components)
+        == trimesh.graph.connected_component_labels(mesh.edges, len(mesh.vertices)).max() + 1
+    )
     if certificate.passed:
         assert sum(each.volume for each in certificate.components) == pytest.approx(mesh.volume)
 
@@ -99,9 +102,19 @@ def test_the_weld_is_counted():
 def test_boundaries_are_certified_as_such_on_request():
     (vertices, faces), _, _, _ = shapes.KNOWN["bowl"]
     certificate = certify(vertices, faces, "bowl", with_boundary=True)
-    assert certificate.passed and certificate.kind == "disk" and certificate.boundary_loops == 1 and not certificate.closed
+    assert (
+        certificate.passed
+        and certificate.kind == "disk"
+        and certificate.boundary_loops == 1
+        and not certificate.closed
+    )
     strip = certify(*shapes.band(9, twist=True), with_boundary=True)
-    assert not strip.passed and strip.boundary_loops == 1 and strip.components[0].genus == 1 and "crosscap" in strip.kind
+    assert (
+        not strip.passed
+        and strip.boundary_loops == 1
+        and strip.components[0].genus == 1
+        and "crosscap" in strip.kind
+    )
 
 
 def test_winding_is_judged():
@@ -126,18 +139,22 @@ def test_the_papers_dispositions(key):
 
 def test_the_measured_details_of_the_failures():
     certificate = {key: candidate(key).certificate for key in ("ogre", "teapot", "beast", "cow", "horse")}
-    assert (certificate["ogre"].open_edges_as_indexed, certificate["ogre"].open_edges, len(certificate["ogre"].components)) == (
-        236,
-        200,
-        44,
-    )
+    assert (
+        certificate["ogre"].open_edges_as_indexed,
+        certificate["ogre"].open_edges,
+        len(certificate["ogre"].components),
+    ) == (236, 200, 44)
     assert (certificate["teapot"].open_edges_as_indexed, certificate["teapot"].open_edges) == (1036, 160)
     assert (
         certificate["beast"].nonmanifold_edges,
         certificate["beast"].duplicate_faces,
         certificate["beast"].euler_as_given,
     ) == (2, 2, 4)
-    assert (certificate["cow"].betti, certificate["cow"].euler, certificate["cow"].pinched_vertices) == ((1, 1, 1), 1, 1)
+    assert (certificate["cow"].betti, certificate["cow"].euler, certificate["cow"].pinched_vertices) == (
+        (1, 1, 1),
+        1,
+        1,
+    )
     assert certificate["horse"].components[0].volume < 0
 
 
@@ -154,7 +171,11 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "FAIL" in printed and "1 pinched vertex" in printed and "(1, 0, 2)" in printed
     stored = json.loads((tmp_path / "c.json").read_text())
-    assert stored["betti"] == [1, 0, 2] and stored["verdict"] == "fail" and stored["components"][0]["pinched_vertices"] == 1
+    assert (
+        stored["betti"] == [1, 0, 2]
+        and stored["verdict"] == "fail"
+        and stored["components"][0]["pinched_vertices"] == 1
+    )
     assert cli.main(["certify", str(path), "--strict"]) == 1
     assert cli.main(["certify", "bowl_narrow", "--with-boundary", "--strict"]) == 0
     assert "PASS as a surface with boundary" in capsys.readouterr().out

@@ -44,13 +44,22 @@ def test_help_names_every_verb_and_imports_none_of_them():
     result = python("-X", "importtime", "-m", "paper_artifact", "--help")
     assert result.returncode == 0
     assert all(name in result.stdout for name in cli.VERBS)
-    imported = {line.rsplit("|", 1)[1].strip() for line in result.stderr.splitlines() if line.startswith("import time:")}
+    imported = {
+        line.rsplit("|", 1)[1].strip()
+        for line in result.stderr.splitlines()
+        if line.startswith("import time:")
+    }
     assert "paper_artifact.cli" in imported
     assert not imported & {"numpy", "torch", "numba", "scipy", "tqdm", "pandas", "matplotlib"}
 
 
 @pytest.mark.parametrize(
-    "name", [name for name, verb in cli.VERBS.items() if (REPOSITORY / "paper_artifact" / "cli" / f"{verb.module}.py").is_file()]
+    "name",
+    [
+        name
+        for name, verb in cli.VERBS.items()
+        if (REPOSITORY / "paper_artifact" / "cli" / f"{verb.module}.py").is_file()
+    ],
 )
 def test_each_verb_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as caught:
@@ -63,7 +72,9 @@ def test_each_verb_explains_itself(name, capsys):
 
 def test_every_module_of_the_folder_is_a_registered_verb():
     modules = {path.stem for path in (REPOSITORY / "paper_artifact" / "cli").glob("*.py")} - {"__init__"}
-    assert {name for name in modules if not name.startswith("_")} <= {verb.module for verb in cli.VERBS.values()}
+    assert {name for name in modules if not name.startswith("_")} <= {
+        verb.module for verb in cli.VERBS.values()
+    }
 
 
 @pytest.mark.parametrize("arguments", [[], ["nope"], ["fetch", "--nope"], ["trial", "--number", "many"]])
@@ -92,7 +103,10 @@ def test_a_verb_may_define_quiet_itself(verb):
 
 @pytest.mark.parametrize(
     "error, words",
-    [(InputError("the mesh a.obj is empty; give another"), "the mesh a.obj is empty"), (KeyboardInterrupt(), "interrupted")],
+    [
+        (InputError("the mesh a.obj is empty; give another"), "the mesh a.obj is empty"),
+        (KeyboardInterrupt(), "interrupted"),
+    ],
 )
 def test_failure_is_one_line_and_exit_code_1(error, words, verb, capsys):
     def run(arguments):
@@ -125,5 +139,7 @@ def test_missing_verb_module_and_missing_package_are_told_apart(monkeypatch, cap
 
 def test_a_reader_that_goes_away_is_no_trace():
     command = f"{sys.executable} -u -m paper_artifact fetch --list | head -n 1"
-    result = subprocess.run(["bash", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, timeout=120)
+    result = subprocess.run(
+        ["bash", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, timeout=120
+    )
     assert "Traceback" not in result.stderr and result.stdout.startswith("spot")

@@ -15,7 +15,7 @@ from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr("paper_artifact.evaluate.evaluate.TARGETS", tmp_path / "targets")
+    monkeypatch.setattr("paper_artifact.evaluate.scores.TARGETS", tmp_path / "targets")
 
 
 @pytest.fixture()
@@ -32,7 +32,22 @@ def soup_file(tmp_path):
 
 def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
     out = tmp_path / "dump.json"
-    assert main(["evaluate", str(soup_file), "--target", "sphere", "--samples", "3000", "--json", str(out), "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "evaluate",
+                str(soup_file),
+                "--target",
+                "sphere",
+                "--samples",
+                "3000",
+                "--json",
+                str(out),
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     printed = capsys.readouterr().out
     result = json.loads(out.read_text())
     assert result["dimension"] == 2 and result["counts"] == result["target_counts"] == [0, 0, 1]
@@ -43,7 +58,19 @@ def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
 
 def test_evaluate_of_a_mesh_file(tmp_path, capsys):
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
-    assert main(["evaluate", str(tmp_path / "ball.ply"), "--target", str(tmp_path / "ball.ply"), "--samples", "2000"]) == 0
+    assert (
+        main(
+            [
+                "evaluate",
+                str(tmp_path / "ball.ply"),
+                "--target",
+                str(tmp_path / "ball.ply"),
+                "--samples",
+                "2000",
+            ]
+        )
+        == 0
+    )
     assert "ball" in capsys.readouterr().out
 
 
@@ -62,9 +89,27 @@ def test_evaluate_names_bad_input(soup_file, arguments, reason, capsys):
 
 def test_export_writes_every_format(soup_file, tmp_path, capsys):
     out = tmp_path / "exports"
-    assert main(["export", str(soup_file), "--out", str(out), "--views", "2", "--size", "48", "--target", "sphere"]) == 0
+    assert (
+        main(
+            [
+                "export",
+                str(soup_file),
+                "--out",
+                str(out),
+                "--views",
+                "2",
+                "--size",
+                "48",
+                "--target",
+                "sphere",
+            ]
+        )
+        == 0
+    )
     names = sorted(path.name for path in out.iterdir())
-    assert names == [f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")]
+    assert names == [
+        f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
+    ]
     assert sorted(path.rsplit("/", 1)[-1] for path in capsys.readouterr().out.split()) == names
     from PIL import Image
 

@@ -16,21 +16,34 @@ finite = st.floats(-1e6, 1e6)
 positive = st.floats(1e-3, 1e6)
 pixels = st.integers(1, 10**6)
 pinholes = st.builds(
-    lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)), pixels, pixels, positive, positive, finite, finite
+    lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)),
+    pixels,
+    pixels,
+    positive,
+    positive,
+    finite,
+    finite,
 )
 simple = st.builds(
-    lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)), pixels, pixels, positive, finite, finite
+    lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)),
+    pixels,
+    pixels,
+    positive,
+    finite,
+    finite,
 )
-names = st.text(st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20).filter(
-    lambda name: name == name.strip()
-)
+names = st.text(
+    st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20
+).filter(lambda name: name == name.strip())
 quaternions = st.tuples(finite, finite, finite, finite).filter(any)
 
 
 @st.composite
 def models(draw) -> Model:
     cameras = draw(st.dictionaries(st.integers(1, 1000), pinholes | simple, min_size=1, max_size=3))
-    poses = st.builds(Pose, names, st.sampled_from(sorted(cameras)), quaternions, st.tuples(finite, finite, finite))
+    poses = st.builds(
+        Pose, names, st.sampled_from(sorted(cameras)), quaternions, st.tuples(finite, finite, finite)
+    )
     images = draw(st.dictionaries(st.integers(1, 10**6), poses, max_size=4))
     count = draw(st.integers(0, 5))
     rows = draw(st.lists(st.tuples(finite, finite, finite, positive), min_size=count, max_size=count))
@@ -93,7 +106,9 @@ def test_text_as_colmap_writes_it(tmp_path):
 def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 640, 480, 500, 501, 320, 240))
     (tmp_path / "images.bin").write_bytes(
-        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1) + b"a.png\0" + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1)
+        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1)
+        + b"a.png\0"
+        + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1)
     )
     (tmp_path / "points3D.bin").write_bytes(struct.pack("<QQ3d3BdQii", 1, 9, 1, 2, 3, 4, 5, 6, 0.5, 1, 5, 0))
     model = read_model(tmp_path)

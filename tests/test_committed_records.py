@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper_artifact.evaluate.evaluate import tail
-from paper_artifact.record.record import RUNS, config_hash, read_record
+from paper_artifact.evaluate.scores import tail
+from paper_artifact.record.store import RUNS, config_hash, read_record
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.train.run import with_condition
+from paper_artifact.pipeline import with_condition
 
 RECORDS = sorted(RUNS.glob("*.json"))
 
@@ -34,9 +34,15 @@ def test_record(path: Path, study_hashes):
     assert [dump["step"] for dump in dumps] == list(record["config"]["dump_steps"])
     assert [dump["step"] for dump in dumps][-3:] == [2300, 2400, 2500]
     assert np.isclose(tail(dumps, dimension), record["tails"]["bottleneck"][dimension], rtol=1e-6)
-    assert record["losses"]["step"][-1] == 2500 and np.mean(record["losses"]["loss"][-10:]) < 0.1 * record["losses"]["loss"][0]
+    assert (
+        record["losses"]["step"][-1] == 2500
+        and np.mean(record["losses"]["loss"][-10:]) < 0.1 * record["losses"]["loss"][0]
+    )
     # The dumps after the first resampling hold the budget, but for the splits since.
     assert all(dump["triangles"] <= 1.1 * record["config"]["budget"] for dump in dumps)
     if record["config"]["condition"] != "C0":
         refreshes = [entry for entry in record["topology"] if entry["event"] == "refresh"]
-        assert len([entry for entry in record["topology"] if entry["event"] == "lambda"]) == 1 and len(refreshes) >= 190
+        assert (
+            len([entry for entry in record["topology"] if entry["event"] == "lambda"]) == 1
+            and len(refreshes) >= 190
+        )

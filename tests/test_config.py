@@ -35,7 +35,9 @@ def test_a_configuration_out_of_range_is_refused(changes, words):
 def test_defaults_are_the_papers():
     config = default_config("torus")
     assert (config.budget, config.steps, config.batch, config.resample_every) == (700, 2500, 4, 100)
-    assert config.initial_ratio * config.budget > 1000  # thousands of initial points: the whole effect hangs on it (trainer.md)
+    assert (
+        config.initial_ratio * config.budget > 1000
+    )  # thousands of initial points: the whole effect hangs on it (trainer.md)
     assert config.dump_steps[-3:] == (2300, 2400, 2500)
     assert default_config("sphere", steps=250).dump_steps[-3:] == (230, 240, 250)
     assert default_config("sphere", steps=2).dump_steps == (1, 2)

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
-from paper_artifact.evaluate.evaluate import (
+from paper_artifact.evaluate.scores import (
     discriminating_dimension,
     evaluate_samples,
     evaluate_soup,
@@ -34,7 +34,9 @@ def icosphere(radius: float = 1.0) -> Mesh:
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return Mesh(np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64), "ball", (1, 0, 1))
+    return Mesh(
+        np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64), "ball", (1, 0, 1)
+    )
 
 
 def hera(a: np.ndarray, b: np.ndarray) -> float:
@@ -43,7 +45,9 @@ def hera(a: np.ndarray, b: np.ndarray) -> float:
 
 def random_bars(generator: np.random.Generator, count: int, on_ray: bool) -> np.ndarray:
     births = np.zeros(count) if on_ray else generator.random(count)
-    return np.column_stack([births, births + generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6])
+    return np.column_stack(
+        [births, births + generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6]
+    )
 
 
 def test_bottleneck_where_gudhi_itself_is_not_exact():
@@ -54,7 +58,9 @@ def test_bottleneck_where_gudhi_itself_is_not_exact():
     cost[:4, :4] = np.abs(a[:, None] - b[None]).max(axis=2)
     cost[:4, 4:] = ((a[:, 1] - a[:, 0]) / 2)[:, None]
     cost[4:, :4] = ((b[:, 1] - b[:, 0]) / 2)[None]
-    exhaustive = min(max(cost[i, column] for i, column in enumerate(columns)) for columns in permutations(range(8)))
+    exhaustive = min(
+        max(cost[i, column] for i, column in enumerate(columns)) for columns in permutations(range(8))
+    )
     assert bottleneck(a, b) == pytest.approx(exhaustive, abs=1e-15)
 
 
@@ -126,7 +132,9 @@ def test_chamfer_and_hausdorff_equal_brute_force():
     a, b, diagonal = generator.random((70, 3)), generator.random((110, 3)) + 0.2, 3.0
     distances = cdist(a, b)
     forward, backward = distances.min(axis=1), distances.min(axis=0)
-    assert chamfer(a, b, diagonal) == pytest.approx((forward.mean() + backward.mean()) / 2 / diagonal, rel=1e-12)
+    assert chamfer(a, b, diagonal) == pytest.approx(
+        (forward.mean() + backward.mean()) / 2 / diagonal, rel=1e-12
+    )
     assert chamfer_sum(a, b, diagonal) == pytest.approx(2 * chamfer(a, b, diagonal), rel=1e-12)
     expected = max(np.quantile(forward, 0.95), np.quantile(backward, 0.95)) / diagonal
     assert hausdorff95(a, b, diagonal) == pytest.approx(expected, rel=1e-12)
@@ -170,7 +178,11 @@ def test_soup_samples_follow_area_times_opacity():
     # mass .5·1 against 2·.2: shares 5/9 and 4/9; a clear triangle gets nothing.
     assert (samples[:, 0] < 5).mean() == pytest.approx(5 / 9, abs=0.015)
     assert (samples[:, 0] < 15).all()
-    for bad_vertices, bad_opacity in ((vertices, opacity * 2), (vertices * np.nan, opacity), (vertices[0], opacity)):
+    for bad_vertices, bad_opacity in (
+        (vertices, opacity * 2),
+        (vertices * np.nan, opacity),
+        (vertices[0], opacity),
+    ):
         with pytest.raises(InputError, match="soup"):
             soup_samples(bad_vertices, bad_opacity, 10, stream(0, "test"))
     with pytest.raises(InputError):
@@ -179,7 +191,13 @@ def test_soup_samples_follow_area_times_opacity():
 
 def test_tail_is_the_mean_of_the_last_three_steps():
     dumps = [
-        {"step": step, "bottleneck": [0, 0, step / 1000], "chamfer": 0.01, "hausdorff95": 0.02, "counts": [0, 0, 1]}
+        {
+            "step": step,
+            "bottleneck": [0, 0, step / 1000],
+            "chamfer": 0.01,
+            "hausdorff95": 0.02,
+            "counts": [0, 0, 1],
+        }
         for step in (2500, 100, 2300, 2400)
     ]
     assert tail(dumps, 2) == pytest.approx(2.4)

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from paper_artifact.topology import filtration, predicates
-from paper_artifact.topology.expansions import WORKSPACE, evaluate, exact
+from paper_artifact.alpha import filtration, predicates
+from paper_artifact.alpha.expansions import WORKSPACE, evaluate, exact
 from tests.test_persistence import draw, sphere
 
 WS = np.empty(WORKSPACE)
@@ -29,7 +29,11 @@ def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
 def near_degenerate(k: int) -> np.ndarray:
     """Five points of a lattice or a plane or a sphere, some of them off by little."""
     rng = draw(f"predicate {k}")
-    bases = rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3)), sphere(5000)[5 * k % 4000 :][:5]
+    bases = (
+        rng.integers(0, 3, (5, 3)) / 3.0,
+        rng.random((5, 2)) @ rng.random((2, 3)),
+        sphere(5000)[5 * k % 4000 :][:5],
+    )
     return bases[k % 3] + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
@@ -50,11 +54,20 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
         if any(normal):  # centre of the circle through 0, v, w, then the power of u
             vv, ww = sum(x * x for x in v), sum(x * x for x in w)
             side = [vv * q - ww * p for p, q in zip(v, w)]
-            cross = [side[(i + 1) % 3] * normal[(i + 2) % 3] - side[(i + 2) % 3] * normal[(i + 1) % 3] for i in range(3)]
+            cross = [
+                side[(i + 1) % 3] * normal[(i + 2) % 3] - side[(i + 2) % 3] * normal[(i + 1) % 3]
+                for i in range(3)
+            ]
             nn = sum(x * x for x in normal)
-            for sign in (1, -1):  # the circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product
+            for sign in (
+                1,
+                -1,
+            ):  # the circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product
                 centre = [sign * x / (2 * nn) for x in cross]
-                if 2 * sum(c * x for c, x in zip(centre, v)) == vv and 2 * sum(c * x for c, x in zip(centre, w)) == ww:
+                if (
+                    2 * sum(c * x for c, x in zip(centre, v)) == vv
+                    and 2 * sum(c * x for c, x in zip(centre, w)) == ww
+                ):
                     break
             power = sum(x * x for x in u) - 2 * sum(c * x for c, x in zip(centre, u))
             assert predicates.triangle_excludes(points, 3, 1, 2, 0, WS) == (power >= 0)
@@ -66,7 +79,9 @@ def test_double_doubles_and_expansions_agree_with_rational_arithmetic():
         points, rows = near_degenerate(k), np.arange(5)
         truth = determinant([[*v, sum(x * x for x in v)] for v in fractions(points, 4)])
         assert abs(evaluate(points, rows, predicates.INSPHERE, values) - truth) <= 1e-29 * 30
-        assert exact(points, rows, predicates.INSPHERE, WS, values) == pytest.approx(float(truth), rel=1e-15, abs=0)
+        assert exact(points, rows, predicates.INSPHERE, WS, values) == pytest.approx(
+            float(truth), rel=1e-15, abs=0
+        )
 
 
 def test_circumradii_of_flat_simplices_agree_with_rational_arithmetic():
@@ -74,12 +89,16 @@ def test_circumradii_of_flat_simplices_agree_with_rational_arithmetic():
         points = near_degenerate(k)
         u, v, w = fractions(points[:4], 0)
         det = determinant([u, v, w])
-        cross = lambda p, q: [p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)]  # noqa: E731
+        cross = lambda p, q: [
+            p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)
+        ]  # noqa: E731
         dot = lambda p, q: sum(x * y for x, y in zip(p, q))  # noqa: E731
         if det != 0:
             terms = zip(cross(v, w), cross(w, u), cross(u, v))
             centre = [(dot(u, u) * x + dot(v, v) * y + dot(w, w) * z) / (2 * det) for x, y, z in terms]
-            assert filtration.tetrahedron_value(points, 0, 1, 2, 3, WS) == pytest.approx(float(dot(centre, centre)), rel=1e-10)
+            assert filtration.tetrahedron_value(points, 0, 1, 2, 3, WS) == pytest.approx(
+                float(dot(centre, centre)), rel=1e-10
+            )
         area = dot(cross(u, v), cross(u, v))
         if area != 0:
             third = [x - y for x, y in zip(u, v)]

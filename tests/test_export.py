@@ -70,16 +70,22 @@ def test_glb_reads_back_the_visible_triangles(tmp_path):
     view = tree["bufferViews"][accessor["bufferView"]]
     begin = 28 + int.from_bytes(data[12:16], "little") + view["byteOffset"]
     stored = np.frombuffer(data[begin : begin + view["byteLength"]], np.uint8).reshape(-1, 4)
-    np.testing.assert_allclose(stored[:, :3] / 255, srgb_to_linear(shown.colours).reshape(-1, 3), atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(
+        stored[:, :3] / 255, srgb_to_linear(shown.colours).reshape(-1, 3), atol=0.5 / 255 + 1e-6
+    )
 
 
 def test_srgb_curve_end_points():
-    np.testing.assert_allclose(srgb_to_linear(np.array([0.0, 0.04045, 0.5, 1.0])), [0, 0.04045 / 12.92, 0.21404114, 1], atol=1e-7)
+    np.testing.assert_allclose(
+        srgb_to_linear(np.array([0.0, 0.04045, 0.5, 1.0])), [0, 0.04045 / 12.92, 0.21404114, 1], atol=1e-7
+    )
 
 
 def test_baked_colour_is_the_base_without_blend_and_the_mlp_with_it():
     soup = random_soup(blend=-30.0)
-    np.testing.assert_allclose(soup_triangles(soup).colours, torch.sigmoid(soup.features[..., :3]).numpy(), atol=1e-6)
+    np.testing.assert_allclose(
+        soup_triangles(soup).colours, torch.sigmoid(soup.features[..., :3]).numpy(), atol=1e-6
+    )
     constant = tuple(torch.zeros_like(tensor) for tensor in soup.mlp[:5]) + (torch.tensor([-1.0, 0.0, 2.0]),)
     baked = soup_triangles(replace(random_soup(blend=30.0), mlp=constant)).colours
     expected = np.broadcast_to(1 / (1 + np.exp([1.0, 0.0, -2.0])), baked.shape)
@@ -95,7 +101,11 @@ def test_baked_colour_survives_a_triangle_without_area():
 def test_html_holds_the_triangles_and_asks_nothing_of_the_network(tmp_path):
     triangles = random_triangles()
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), "one")
-    write_html(tmp_path / "view.html", {"</script> soup": triangles, "ground truth": mesh_triangles(mesh)}, "A <b>title</b>")
+    write_html(
+        tmp_path / "view.html",
+        {"</script> soup": triangles, "ground truth": mesh_triangles(mesh)},
+        "A <b>title</b>",
+    )
     text = (tmp_path / "view.html").read_text(encoding="utf-8")
     assert not re.search(r"https?://|src=|@import|@DATA@|@TITLE@", text)
     assert "A &lt;b&gt;title" in text and text.count("</script>") == 2

@@ -172,7 +172,9 @@ def mirror_with(folder: Path, data: bytes) -> Path:
 
 
 def test_mirrors_in_order_of_precedence(tmp_path, monkeypatch):
-    named, variable, sibling = (mirror_with(tmp_path / name, BODY) for name in ("named", "variable", "sibling"))
+    named, variable, sibling = (
+        mirror_with(tmp_path / name, BODY) for name in ("named", "variable", "sibling")
+    )
     monkeypatch.setattr(fetching, "SIBLING_MIRROR", sibling)
     assert fetching.fetch("tri", downloads=tmp_path / "1", quiet=True).origin == str(sibling)
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(variable))
@@ -185,11 +187,14 @@ def test_sibling_without_the_file_falls_through_to_the_network(tmp_path, monkeyp
     (tmp_path / "sibling").mkdir()
     monkeypatch.setattr(fetching, "SIBLING_MIRROR", tmp_path / "sibling")
     with server() as (url, asked):
-        assert fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True).origin.startswith(url)
+        assert fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True).origin.startswith(
+            url
+        )
 
 
 @pytest.mark.parametrize(
-    "data, words", [(None, "has no readable"), (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")]
+    "data, words",
+    [(None, "has no readable"), (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")],
 )
 def test_bad_mirror_file(tmp_path, data, words):
     folder = tmp_path / "mirror"

@@ -33,16 +33,23 @@ class Case:
         self.soup = soup(3, triangles)
         self.mlp = mlp(3)
         self.matrices = cameras(3, BATCH).numpy().astype(np.float32)
-        self.target = torch.from_numpy(stream(3, "fused test targets").random((BATCH, 3, HEIGHT, WIDTH), dtype=np.float32))
+        self.target = torch.from_numpy(
+            stream(3, "fused test targets").random((BATCH, 3, HEIGHT, WIDTH), dtype=np.float32)
+        )
         self.keys = [view_key(0, 5, index) for index in range(BATCH)]
 
     def leaves(self) -> list[torch.Tensor]:
-        return [leaf(tensor) for tensor in (self.soup["vertices"], self.soup["features"], self.soup["opacity"], *self.mlp)]
+        return [
+            leaf(tensor)
+            for tensor in (self.soup["vertices"], self.soup["features"], self.soup["opacity"], *self.mlp)
+        ]
 
     def by_autograd(self, leaves: list[torch.Tensor], logits: bool = False) -> float:
         """Set the leaves' gradients and return the loss; logits: features and opacity are, as in a soup that is trained."""
         vertices, features, opacity, *weights = leaves
-        features, opacity = (torch.sigmoid(features), torch.sigmoid(opacity)) if logits else (features, opacity)
+        features, opacity = (
+            (torch.sigmoid(features), torch.sigmoid(opacity)) if logits else (features, opacity)
+        )
         raster = functions.rasterize(vertices, opacity, self.matrices, HEIGHT, WIDTH, self.keys)
         colour = functions.shade(features, tuple(weights), raster, BACKGROUND)
         auxiliary = functions.opacity_gradient(opacity, colour, self.target, raster)
@@ -125,9 +132,13 @@ def test_the_cpu_backend_sets_the_soups_gradients(case):
     loss = backend_of(case).photometric_step(fused, np.array([3, 0, 2]), case.keys)
     leaves = [reference.vertices, reference.features, reference.opacity, *reference.mlp]
     assert loss == pytest.approx(case.by_autograd(leaves, logits=True), rel=1e-6)
-    for name, tensor, expected in zip(NAMES, (fused.vertices, fused.features, fused.opacity, *fused.mlp), leaves):
+    for name, tensor, expected in zip(
+        NAMES, (fused.vertices, fused.features, fused.opacity, *fused.mlp), leaves
+    ):
         if name in ("features", "opacity"):  # the sigmoid's derivative is formed in another order
-            torch.testing.assert_close(tensor.grad, expected.grad, rtol=1e-6, atol=1e-6 * float(expected.grad.abs().max()))
+            torch.testing.assert_close(
+                tensor.grad, expected.grad, rtol=1e-6, atol=1e-6 * float(expected.grad.abs().max())
+            )
         else:
             assert torch.equal(tensor.grad, expected.grad), name
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from matplotlib.colors import to_hex
 
-from paper_artifact.evaluate.evaluate import evaluate_soup, make_target
+from paper_artifact.evaluate.scores import evaluate_soup, make_target
 from paper_artifact.files import RESULTS
-from paper_artifact.record.record import find_records, write_record
+from paper_artifact.record.store import find_records, write_record
 from paper_artifact.report import gallery, generality, matrix
 from paper_artifact.report.runs import Collected, soup_path
 from paper_artifact.report.staircase import surface
@@ -29,7 +29,10 @@ def study(tmp_path_factory):
         for condition, mean in arms.items():
             for seed in range(3):
                 lost = shape == "bob" and condition == "C2"
-                write_record(study_record(shape, condition, seed, mean + 1e-4 * seed, counts=(0, 1 if lost else 2, 1)), folder)
+                write_record(
+                    study_record(shape, condition, seed, mean + 1e-4 * seed, counts=(0, 1 if lost else 2, 1)),
+                    folder,
+                )
     write_record(study_record("spot", "C0", 0, 0.055), folder)
     return matrix.collect_study("table2", folder=folder)
 
@@ -37,9 +40,15 @@ def study(tmp_path_factory):
 def test_table_2_ours_beside_the_papers(study):
     table = generality.generality_table(study)
     assert table.loc["bob", ("C1", "ours")] == ".0201±.0001 (2.00×) [2/2/2]"
-    assert table.loc["bob", ("C2", "ours")].endswith("[1/1/1]") and table.loc["fandisk", ("C0", "ours")] == "not recorded"
+    assert (
+        table.loc["bob", ("C2", "ours")].endswith("[1/1/1]")
+        and table.loc["fandisk", ("C0", "ours")] == "not recorded"
+    )
     assert table.loc["fandisk", ("C1", "paper")].startswith(".0052±.0008 (10.3")
-    assert table.loc["spot", ("C0", "ours")] == ".0550 [1]" and table.loc["spot", ("verdict", "ours")] == "incomplete"
+    assert (
+        table.loc["spot", ("C0", "ours")] == ".0550 [1]"
+        and table.loc["spot", ("verdict", "ours")] == "incomplete"
+    )
     # the mean of C0 / C1: 401/201, 81/81, 301/101
     assert table.loc["loop group", ("C1", "ours")] == "1.99× ± 0.99, 2 of 3 pass"
     assert (
@@ -50,9 +59,20 @@ def test_table_2_ours_beside_the_papers(study):
 
 def test_verdicts_stand_beside_those_of_the_papers_tails(study):
     lines = generality.verdict_lines(study)
-    assert lines["verdict"].to_dict() == {"bob": "pass", "rocker-arm": "no effect", "eight": "pass", "spot": "incomplete"}
-    assert lines.loc["bob", "paper's tails give"] == "pass" and lines.loc["rocker-arm", "paper's tails give"] == "no effect"
-    assert lines.loc["rocker-arm", "Chamfer C1 / C0"] == "1.00 (paper 1)" and lines.loc["spot", "Chamfer C1 / C0"] == ""
+    assert lines["verdict"].to_dict() == {
+        "bob": "pass",
+        "rocker-arm": "no effect",
+        "eight": "pass",
+        "spot": "incomplete",
+    }
+    assert (
+        lines.loc["bob", "paper's tails give"] == "pass"
+        and lines.loc["rocker-arm", "paper's tails give"] == "no effect"
+    )
+    assert (
+        lines.loc["rocker-arm", "Chamfer C1 / C0"] == "1.00 (paper 1)"
+        and lines.loc["spot", "Chamfer C1 / C0"] == ""
+    )
 
 
 def test_the_ramp_off_the_analytic_family(study):
@@ -115,7 +135,13 @@ def test_a_committed_soup_is_the_one_of_its_record(committed, run):
     record = committed[run]
     _, soup = gallery.soup_of(Collected((record,), ()), *run)
     target = make_target(surface(run[0]), cache=None)
-    again = evaluate_soup(soup.vertices.detach().numpy(), soup.corner_opacity(), target, seed=0, step=record["dumps"][-1]["step"])
+    again = evaluate_soup(
+        soup.vertices.detach().numpy(),
+        soup.corner_opacity(),
+        target,
+        seed=0,
+        step=record["dumps"][-1]["step"],
+    )
     last = record["dumps"][-1]
     assert again["counts"] == last["counts"]
     for name in ("bottleneck", "chamfer", "hausdorff95"):

@@ -14,7 +14,9 @@ from paper_artifact.randomness import stream
 
 def naive_ssim(x: np.ndarray, y: np.ndarray) -> float:
     """Wang et al. 2004, window by window, with an 11×11 Gaussian of σ 1.5, windows inside the image only."""
-    weights = np.array([[math.exp(-((i - 5) ** 2 + (j - 5) ** 2) / (2 * 1.5**2)) for j in range(11)] for i in range(11)])
+    weights = np.array(
+        [[math.exp(-((i - 5) ** 2 + (j - 5) ** 2) / (2 * 1.5**2)) for j in range(11)] for i in range(11)]
+    )
     weights /= weights.sum()
     values = []
     for channel in range(x.shape[2]):
@@ -26,7 +28,9 @@ def naive_ssim(x: np.ndarray, y: np.ndarray) -> float:
                 var_p, var_q = (weights * (p - mean_p) ** 2).sum(), (weights * (q - mean_q) ** 2).sum()
                 cov = (weights * (p - mean_p) * (q - mean_q)).sum()
                 values.append(
-                    (2 * mean_p * mean_q + 1e-4) * (2 * cov + 9e-4) / ((mean_p**2 + mean_q**2 + 1e-4) * (var_p + var_q + 9e-4))
+                    (2 * mean_p * mean_q + 1e-4)
+                    * (2 * cov + 9e-4)
+                    / ((mean_p**2 + mean_q**2 + 1e-4) * (var_p + var_q + 9e-4))
                 )
     return sum(values) / len(values)
 
@@ -37,7 +41,9 @@ def test_ssim_equals_the_window_loop():
     y = np.clip(x + 0.2 * generator.normal(size=x.shape), 0, 1)
     assert ssim(x, y) == pytest.approx(naive_ssim(x, y), abs=1e-12)
     assert ssim(x, x) == pytest.approx(1)
-    assert ssim(x[:11, :11], 1 - x[:11, :11]) == pytest.approx(naive_ssim(x[:11, :11], 1 - x[:11, :11]), abs=1e-12)
+    assert ssim(x[:11, :11], 1 - x[:11, :11]) == pytest.approx(
+        naive_ssim(x[:11, :11], 1 - x[:11, :11]), abs=1e-12
+    )
 
 
 def test_psnr_closed_form():

@@ -50,8 +50,12 @@ def test_distances_to_flat_triangles_are_those_to_their_edges():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [3, 0, 0.0], [0, 1, 0], [0, 2, 0]])
     grid = distance_grid(vertices, np.array([[0, 1, 2], [1, 2, 3], [0, 4, 5]]), 0.25, 1.0)
     points = grid.origin + grid.cell * np.argwhere(np.ones_like(grid.values))
-    along = np.hypot(np.hypot(np.maximum(points[:, 0] - 3, 0) + np.maximum(-points[:, 0], 0), points[:, 1]), points[:, 2])
-    beside = np.hypot(np.hypot(np.maximum(points[:, 1] - 2, 0) + np.maximum(-points[:, 1], 0), points[:, 0]), points[:, 2])
+    along = np.hypot(
+        np.hypot(np.maximum(points[:, 0] - 3, 0) + np.maximum(-points[:, 0], 0), points[:, 1]), points[:, 2]
+    )
+    beside = np.hypot(
+        np.hypot(np.maximum(points[:, 1] - 2, 0) + np.maximum(-points[:, 1], 0), points[:, 0]), points[:, 2]
+    )
     np.testing.assert_allclose(grid.values.reshape(-1), np.minimum(np.minimum(along, beside), 1), atol=1e-6)
 
 
@@ -59,7 +63,9 @@ def test_a_sphere_grows_by_the_offset():
     ball = raw(*shapes.ball())
     solid = solidify(ball, offset=0.05, cells=2)
     radii = np.linalg.norm(solid.shell.vertices, axis=1)
-    assert solid.certificate.passed and solid.certificate.betti == (1, 0, 1) and solid.shell.betti == (1, 0, 1)
+    assert (
+        solid.certificate.passed and solid.certificate.betti == (1, 0, 1) and solid.shell.betti == (1, 0, 1)
+    )
     assert solid.pockets == 1, "the inside of the sphere is a pocket"
     assert radii.max() <= 1 + solid.offset + 1e-3 * solid.cell and radii.min() > 0.97 + solid.offset
     assert trimesh.Trimesh(solid.shell.vertices, solid.shell.faces, process=False).volume > 0
@@ -80,7 +86,11 @@ def test_a_sphere_grows_by_the_offset():
             (
                 np.array(
                     [
-                        [np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
+                        [
+                            np.cos(a) * (1 + s * np.cos(a / 2)),
+                            np.sin(a) * (1 + s * np.cos(a / 2)),
+                            s * np.sin(a / 2),
+                        ]
                         for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)
                         for s in (-0.3, -0.1, 0.1, 0.3)
                     ]
@@ -117,7 +127,12 @@ def test_pockets_are_filled_and_values_leave_the_grid_points():
     values[4, 4, 4] = 3.0
     values[2, 2, 2] = 1.0
     filled, count = without_pockets(values, 1.0, 0.01)
-    assert count == 1 and filled[4, 4, 4] == np.float32(0.99) and filled[2, 2, 2] == np.float32(0.99) and filled[0, 0, 0] == 2.0
+    assert (
+        count == 1
+        and filled[4, 4, 4] == np.float32(0.99)
+        and filled[2, 2, 2] == np.float32(0.99)
+        and filled[0, 0, 0] == 2.0
+    )
 
 
 def test_rebuilds_are_bit_identical_and_depend_on_no_order(tmp_path):
@@ -174,15 +189,26 @@ def test_the_raw_pot_is_as_raw_as_the_papers():
 def test_the_polygons_file_gives_the_same_pot(tmp_path):
     (tmp_path / "raw.obj").write_text(hot_pot.raw_pot().obj())
     mesh, expected = load_mesh(tmp_path / "raw.obj", welded=False), hot_pot.raw_pot().mesh()
-    ours, theirs = ({frozenset(map(tuple, face)) for face in each.vertices[each.faces].tolist()} for each in (mesh, expected))
-    assert len(mesh.faces) == len(expected.faces) and ours == theirs, "the order of faces and corners may differ"
+    ours, theirs = (
+        {frozenset(map(tuple, face)) for face in each.vertices[each.faces].tolist()}
+        for each in (mesh, expected)
+    )
+    assert len(mesh.faces) == len(expected.faces) and ours == theirs, (
+        "the order of faces and corners may differ"
+    )
 
 
 def test_the_pot_is_one_body_of_genus_three():
     certificate = pot().certificate
-    assert certificate.passed and certificate.genus == 3 and certificate.betti == (1, 6, 1) and pot().pockets > 0
+    assert (
+        certificate.passed and certificate.genus == 3 and certificate.betti == (1, 6, 1) and pot().pockets > 0
+    )
     rows = inventory(hot_pot.raw_pot(), pot())
-    assert "9 open shells" in rows[0][0] and "120 non-manifold junction edges" in rows[0][1] and "(1, 6, 1)" in rows[2][1]
+    assert (
+        "9 open shells" in rows[0][0]
+        and "120 non-manifold junction edges" in rows[0][1]
+        and "(1, 6, 1)" in rows[2][1]
+    )
     mesh = trimesh.Trimesh(pot().shell.vertices, pot().shell.faces, process=False)
     assert mesh.is_watertight and mesh.euler_number == -4
 
@@ -209,13 +235,20 @@ def test_the_teapot_becomes_one_closed_body_with_its_handle(tmp_path, capsys):
     assert "160 open edges" in printed and "pass: closed surface, genus 1" in printed
     assert certify_mesh(load_mesh(path)).betti == (1, 2, 1)
     stored = json.loads((tmp_path / "t.json").read_text())
-    assert stored["raw"]["open_edges"] == 160 and stored["certificate"]["verdict"] == "pass" and stored["pockets_dropped"] > 0
+    assert (
+        stored["raw"]["open_edges"] == 160
+        and stored["certificate"]["verdict"] == "pass"
+        and stored["pockets_dropped"] > 0
+    )
 
 
 def test_the_verb_refuses_before_it_works(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(module, "distance_grid", None)
     assert cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.glb")]) == 1
     assert "must end in" in capsys.readouterr().err
-    assert cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.ply"), "--raw-obj", str(tmp_path / "r.obj")]) == 1
+    assert (
+        cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.ply"), "--raw-obj", str(tmp_path / "r.obj")])
+        == 1
+    )
     assert "goes with 'pot' alone" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -70,7 +70,9 @@ def test_the_parts_of_a_scene_file_are_placed_and_concatenated(tmp_path):
 
 def test_weld_is_exact_keeps_the_order_and_drops_what_is_no_surface():
     tiny = np.nextafter(1.0, 2.0)
-    vertices = np.array([[9, 9, 9], [1, 0, 0], [0, 0, 0], [0, 1, 0], [-0.0, 0, 0], [tiny, 0, 0], [5, 5, 5]], dtype=float)
+    vertices = np.array(
+        [[9, 9, 9], [1, 0, 0], [0, 0, 0], [0, 1, 0], [-0.0, 0, 0], [tiny, 0, 0], [5, 5, 5]], dtype=float
+    )
     faces = np.array([[2, 1, 3], [4, 3, 5], [2, 4, 1]])
     welded, indexed = weld(vertices, faces)
     np.testing.assert_array_equal(welded, [[1, 0, 0], [0, 0, 0], [0, 1, 0], [tiny, 0, 0]])

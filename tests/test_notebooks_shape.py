@@ -42,7 +42,9 @@ def test_there_are_notebooks_and_their_names_give_an_order():
 def test_opens_with_a_title_and_its_parameters(notebook):
     assert notebook.cells[0].cell_type == "markdown" and notebook.cells[0].source.startswith("# ")
     code = code_cells(notebook)
-    assert [is_parameters(cell) for cell in code] == [True] + [False] * (len(code) - 1), "the first code cell, and only it"
+    assert [is_parameters(cell) for cell in code] == [True] + [False] * (len(code) - 1), (
+        "the first code cell, and only it"
+    )
     assert re.search(r'^profile\s*=\s*"recorded"', code[0].source, re.MULTILINE), "run-all injects `profile`"
 
 
@@ -51,21 +53,30 @@ def test_is_thin(notebook):
     assert 1 <= len(code) - 1 <= 6
     for cell in code:
         nodes = list(ast.walk(ast.parse(cell.source)))
-        assert not [node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))]
+        assert not [
+            node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+        ]
         assert "sys.path" not in cell.source
 
 
 def test_every_code_cell_was_executed_in_order(notebook):
-    assert [cell.execution_count for cell in code_cells(notebook)] == list(range(1, len(code_cells(notebook)) + 1))
+    assert [cell.execution_count for cell in code_cells(notebook)] == list(
+        range(1, len(code_cells(notebook)) + 1)
+    )
 
 
 def test_outputs_are_clean(notebook):
     for cell in code_cells(notebook):
         for output in cell.outputs:
             assert output.output_type != "error"
-            assert output.get("name") != "stderr", "bars and warnings differ from run to run: use --quiet, fix the warning"
+            assert output.get("name") != "stderr", (
+                "bars and warnings differ from run to run: use --quiet, fix the warning"
+            )
             data = output.get("data", {})
-            texts = [output.get("text", ""), *(value for kind, value in data.items() if kind.startswith("text/"))]
+            texts = [
+                output.get("text", ""),
+                *(value for kind, value in data.items() if kind.startswith("text/")),
+            ]
             assert not [text for text in texts if MACHINE_PATH.search(text)], "a path of one machine"
 
 

@@ -19,7 +19,17 @@ def arguments(verb: str, mesh: Path, out: Path) -> list[str]:
     return {
         "certify": ["certify", str(mesh), "--json", str(out / "certificate.json")],
         "audit": ["audit", str(mesh), "--out", str(out), "--densities", "64", "--working", "128", "--quiet"],
-        "ingest": ["ingest", str(mesh), "--out", str(out / "shell.ply"), "--offset", "0.04", "--cells", "1.5", "--quiet"],
+        "ingest": [
+            "ingest",
+            str(mesh),
+            "--out",
+            str(out / "shell.ply"),
+            "--offset",
+            "0.04",
+            "--cells",
+            "1.5",
+            "--quiet",
+        ],
         "scene": [
             "scene",
             "--mesh",
@@ -104,5 +114,10 @@ def test_a_place_that_cannot_be_written_is_refused(verb, tmp_path, capsys):
     (tmp_path / "ball.obj").write_bytes(odd_meshes.TAKEN["tetrahedron.obj"])
     assert cli.main(arguments(verb, tmp_path / "ball.obj", tmp_path / "file" / "below")) == 1
     printed, error = capsys.readouterr()
-    assert printed == "" and "cannot write" in error and "choose a folder" in error and len(error.splitlines()) == 1
+    assert (
+        printed == ""
+        and "cannot write" in error
+        and "choose a folder" in error
+        and len(error.splitlines()) == 1
+    )
     assert (tmp_path / "file").read_text() == "mine" and len(list(tmp_path.iterdir())) == 2

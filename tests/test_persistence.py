@@ -12,8 +12,8 @@ from scipy.spatial import Delaunay
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology import benchmark, delaunay, ordering
-from paper_artifact.topology.persistence import STAGES, Pairs, alpha_persistence
+from paper_artifact.bench import persistence as benchmark, delaunay, ordering
+from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
 
 
 def draw(name: str) -> np.random.Generator:
@@ -27,7 +27,9 @@ def sphere(n: int) -> np.ndarray:
 
 def torus(n: int) -> np.ndarray:
     a, b = draw("torus").random((2, n)) * 2 * np.pi
-    return np.column_stack([(1 + 0.4 * np.cos(b)) * np.cos(a), (1 + 0.4 * np.cos(b)) * np.sin(a), 0.4 * np.sin(b)])
+    return np.column_stack(
+        [(1 + 0.4 * np.cos(b)) * np.cos(a), (1 + 0.4 * np.cos(b)) * np.sin(a), 0.4 * np.sin(b)]
+    )
 
 
 def cube_surface(n: int) -> np.ndarray:
@@ -51,7 +53,9 @@ def lattice(k: int, jitter: float = 0.0) -> np.ndarray:
 
 def cylinder() -> np.ndarray:
     angle = 2 * np.pi * np.arange(48) / 48
-    return np.concatenate([np.column_stack([np.cos(angle), np.sin(angle), np.full(48, z)]) for z in (0.0, 0.5, 1.0)])
+    return np.concatenate(
+        [np.column_stack([np.cos(angle), np.sin(angle), np.full(48, z)]) for z in (0.0, 0.5, 1.0)]
+    )
 
 
 def outliers() -> np.ndarray:
@@ -114,7 +118,9 @@ def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
     """The largest difference of two diagrams' bars longer than 1e-8 of the scale, or of a bar near that length to the
     diagonal."""
     # a cut in the middle of a gap between bar lengths, so that rounding cannot move a bar across it
-    lengths = np.sort(np.concatenate([ours[:, 1] - ours[:, 0], theirs[:, 1] - theirs[:, 0], [1e-9 * scale, 1e-8 * scale]]))
+    lengths = np.sort(
+        np.concatenate([ours[:, 1] - ours[:, 0], theirs[:, 1] - theirs[:, 0], [1e-9 * scale, 1e-8 * scale]])
+    )
     window = lengths[(lengths >= 1e-9 * scale) & (lengths <= 1e-8 * scale)]
     widest = int(np.argmax(np.diff(window)))
     cut = (window[widest] + window[widest + 1]) / 2
@@ -127,7 +133,11 @@ def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
 def test_fast_equals_gudhi(name):
     points = np.asarray(CLOUDS[name](), dtype=np.float64)
     scale = float(np.ptp(points, axis=0).max()) or 1.0
-    reference = exact_diagrams(points) if "jitter" in name else [p.diagram for p in alpha_persistence(points, "gudhi")]
+    reference = (
+        exact_diagrams(points)
+        if "jitter" in name
+        else [p.diagram for p in alpha_persistence(points, "gudhi")]
+    )
     for ours, theirs in zip(alpha_persistence(points), reference):
         assert gap(ours.diagram, theirs, scale) < 1e-9 * scale
 
@@ -169,7 +179,10 @@ def test_degenerate_integer_clouds(rows):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 1)), min_size=5, max_size=20), st.integers(30, 54))
+@given(
+    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 1)), min_size=5, max_size=20),
+    st.integers(30, 54),
+)
 def test_nearly_degenerate_clouds(rows, exponent):
     points = np.array(rows, dtype=float)
     points += draw("nearly").integers(-1, 2, points.shape) * 2.0**-exponent
@@ -191,25 +204,42 @@ def circumradius(points: np.ndarray, simplices: np.ndarray) -> np.ndarray:
 def test_pairs_name_the_simplices_that_set_the_bars(name):
     points = CLOUDS[name]()
     for dimension, pairs in enumerate(alpha_persistence(points)):
-        assert pairs.birth_simplices.shape == (len(pairs), dimension + 1) and pairs.birth_simplices.dtype == np.int64
-        assert pairs.death_simplices.shape == (len(pairs), dimension + 2) and pairs.death_simplices.dtype == np.int64
-        assert (np.diff(pairs.birth_simplices, axis=1) > 0).all() and (np.diff(pairs.death_simplices, axis=1) > 0).all()
+        assert (
+            pairs.birth_simplices.shape == (len(pairs), dimension + 1)
+            and pairs.birth_simplices.dtype == np.int64
+        )
+        assert (
+            pairs.death_simplices.shape == (len(pairs), dimension + 2)
+            and pairs.death_simplices.dtype == np.int64
+        )
+        assert (np.diff(pairs.birth_simplices, axis=1) > 0).all() and (
+            np.diff(pairs.death_simplices, axis=1) > 0
+        ).all()
         assert len(np.unique(pairs.death_simplices, axis=0)) == len(pairs)  # a matching
         assert len(np.unique(pairs.birth_simplices, axis=0)) == len(pairs)
         long = pairs.deaths - pairs.births > 1e-6
         if dimension > 0:
-            np.testing.assert_allclose(circumradius(points, pairs.birth_simplices[long]), pairs.births[long], atol=1e-9)
-        np.testing.assert_allclose(circumradius(points, pairs.death_simplices[long]), pairs.deaths[long], atol=1e-9)
+            np.testing.assert_allclose(
+                circumradius(points, pairs.birth_simplices[long]), pairs.births[long], atol=1e-9
+            )
+        np.testing.assert_allclose(
+            circumradius(points, pairs.death_simplices[long]), pairs.deaths[long], atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("name", ["uniform", "torus"])
 def test_pairs_equal_gudhis_on_generic_clouds(name):
     points = CLOUDS[name]()
-    for dimension, (ours, theirs) in enumerate(zip(alpha_persistence(points), alpha_persistence(points, "gudhi"))):
+    for dimension, (ours, theirs) in enumerate(
+        zip(alpha_persistence(points), alpha_persistence(points, "gudhi"))
+    ):
         if dimension == 0:  # which of two vertices of equal age dies is a convention
             assert {tuple(r) for r in ours.death_simplices} == {tuple(r) for r in theirs.death_simplices}
             continue
-        rows = [{(tuple(b), tuple(d)) for b, d in zip(p.birth_simplices, p.death_simplices)} for p in (ours, theirs)]
+        rows = [
+            {(tuple(b), tuple(d)) for b, d in zip(p.birth_simplices, p.death_simplices)}
+            for p in (ours, theirs)
+        ]
         assert rows[0] == rows[1]
 
 
@@ -272,7 +302,9 @@ def test_triangulation_equals_scipys_on_generic_points(n):
     mesh, distinct = delaunay.triangulate(ordered)
     cells, neighbours = delaunay.finite_cells(mesh, np.arange(n, dtype=np.int32))
     assert distinct == n
-    assert {tuple(r) for r in np.sort(order[cells], axis=1)} == {tuple(r) for r in np.sort(Delaunay(points).simplices, axis=1)}
+    assert {tuple(r) for r in np.sort(order[cells], axis=1)} == {
+        tuple(r) for r in np.sort(Delaunay(points).simplices, axis=1)
+    }
     for t in range(0, len(cells), 7):  # a neighbour lacks exactly the opposite vertex
         for i in range(4):
             if neighbours[t, i] >= 0:
@@ -280,7 +312,9 @@ def test_triangulation_equals_scipys_on_generic_points(n):
 
 
 def test_a_star_of_many_cells_grows_the_workspaces():
-    points = np.vstack([sphere(3000), np.zeros((1, 3))])  # the centre, wherever it comes, sees every point: one huge cavity
+    points = np.vstack(
+        [sphere(3000), np.zeros((1, 3))]
+    )  # the centre, wherever it comes, sees every point: one huge cavity
     voids = alpha_persistence(points)[2]
     assert len(voids.deaths) > 0 and voids.deaths.max() < 0.51 + 0.2
     scaled, _ = ordering.normalised(points)
@@ -315,7 +349,9 @@ def test_benchmark_rows_are_complete_and_consistent():
             stages = [row[f"{key}_{stage}_ms"] for stage in STAGES]
             assert min(stages) >= 0 and sum(stages) > 0
         assert row["ratio"] == pytest.approx(row["gudhi_ms"] / row["fast_ms"])
-    assert benchmark.growth_exponent([{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]) == pytest.approx(1.0)
+    assert benchmark.growth_exponent([{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]) == pytest.approx(
+        1.0
+    )
 
 
 @pytest.mark.parametrize("arguments", [{"cloud": "sea"}, {"sizes": (3,)}, {"sizes": ()}, {"repetitions": 0}])

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from paper_artifact.errors import InputError
 from paper_artifact.report import probes as report
-from paper_artifact.study import probes
+from paper_artifact.study import blindness as probes
 
 
 def test_revolution_is_uniform_by_area_on_a_spheroid():
@@ -37,7 +37,9 @@ def test_handle_has_no_hidden_part_and_the_right_share():
     assert radius.min() > 1 - 1e-9
     ring = np.hypot(np.hypot(probe.b[:, 0], probe.b[:, 2] - 1) - probes.HANDLE_MAJOR, probe.b[:, 1])
     assert ring.min() > probes.HANDLE_TUBE - 1e-9
-    visible = 4 * np.pi**2 * probes.HANDLE_MAJOR * probes.HANDLE_TUBE * 0.42  # the arc outside the sphere, 150 of 360 degrees
+    visible = (
+        4 * np.pi**2 * probes.HANDLE_MAJOR * probes.HANDLE_TUBE * 0.42
+    )  # the arc outside the sphere, 150 of 360 degrees
     assert (radius > 1 + 1e-9).mean() == pytest.approx(visible / (visible + 4 * np.pi), rel=0.15)
 
 

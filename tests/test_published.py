@@ -22,7 +22,9 @@ def test_every_table_is_there_and_described():
         frame = published(name)
         assert len(frame) and (frame["source"] != "").all()
         if name not in ("S6", "S12"):
-            assert {"shape", "dimension", "condition", "quantity", "value", "sd", "seeds", "note"} <= set(frame.columns)
+            assert {"shape", "dimension", "condition", "quantity", "value", "sd", "seeds", "note"} <= set(
+                frame.columns
+            )
             assert frame["value"].dtype == float and frame["sd"].dtype == float
             assert not frame.drop(columns=["note", "value", "sd"]).duplicated().any() or name == "floor"
 
@@ -32,7 +34,9 @@ def test_every_table_is_there_and_described():
 def test_per_seed_values_have_the_printed_mean_and_sd(shape, condition):
     frame = published("S7")
     seeds = frame[(frame["shape"] == shape) & (frame["condition"] == condition)]["value"]
-    mean, sd = published_value("1" if shape in ("cube", "two_spheres") else "2", shape=shape, condition=condition)
+    mean, sd = published_value(
+        "1" if shape in ("cube", "two_spheres") else "2", shape=shape, condition=condition
+    )
     assert len(seeds) == 3 and abs(seeds.mean() - mean) <= ROUNDING
     assert math.isnan(sd) or abs(seeds.std(ddof=1) - sd) <= ROUNDING
 
@@ -47,14 +51,20 @@ def test_bowls_per_seed_values_have_the_printed_mean_and_sd():
 
 
 def test_group_means_follow_from_table_2():
-    groups = {"loop group": ("bob", "rocker-arm", "eight"), "void group": ("spot", "fandisk", "pot", "armadillo", "horse")}
+    groups = {
+        "loop group": ("bob", "rocker-arm", "eight"),
+        "void group": ("spot", "fandisk", "pot", "armadillo", "horse"),
+    }
     for group, shapes in groups.items():
         ratios = [
-            published_value("2", shape=shape, condition="C0")[0] / published_value("2", shape=shape, condition="C1")[0]
+            published_value("2", shape=shape, condition="C0")[0]
+            / published_value("2", shape=shape, condition="C1")[0]
             for shape in shapes
         ]
         mean, sd = published_value("2", shape=group, condition="C1", quantity="ratio_C0_over_C1")
-        assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(sd, abs=0.03)
+        assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(
+            sd, abs=0.03
+        )
 
 
 def test_printed_factors_follow_from_the_values():
@@ -70,8 +80,12 @@ def test_printed_factors_follow_from_the_values():
 def test_pins_are_half_lifetimes():
     frame = published("S11")
     for shape in ("eight", "armadillo", "horse"):
-        rows = frame[(frame["shape"] == shape) & (frame["quantity"] == "lifetime") & (frame["samples"] == 20000)]
-        assert rows["value"].iloc[0] / 2 == pytest.approx(published_value("2", shape=shape, condition="C0")[0], abs=ROUNDING)
+        rows = frame[
+            (frame["shape"] == shape) & (frame["quantity"] == "lifetime") & (frame["samples"] == 20000)
+        ]
+        assert rows["value"].iloc[0] / 2 == pytest.approx(
+            published_value("2", shape=shape, condition="C0")[0], abs=ROUNDING
+        )
 
 
 def test_window_of_the_floor_multiplier_follows_from_the_margins():

@@ -32,7 +32,9 @@ class Case(NamedTuple):
     flipped: torch.Tensor  # (B,H,W) bool
 
 
-def make_case(seed: int, count: int = 200, size: tuple[int, int] = (64, 56), views: int = 3, stochastic: bool = True) -> Case:
+def make_case(
+    seed: int, count: int = 200, size: tuple[int, int] = (64, 56), views: int = 3, stochastic: bool = True
+) -> Case:
     single = {name: value.float() for name, value in soup(seed, count, size=0.35).items()}
     single["matrices"] = cameras(seed, views, distance=3.0).float()
     single |= {f"mlp{index}": value.float() for index, value in enumerate(mlp(seed))}
@@ -49,7 +51,9 @@ def weights_of(tensors: dict[str, torch.Tensor]) -> tuple[torch.Tensor, ...]:
 
 
 def shade_both(case: Case) -> tuple[torch.Tensor, torch.Tensor]:
-    fast = functions.shade(case.single["features"], weights_of(case.single), case.fast, np.array(BACKGROUND, np.float32))
+    fast = functions.shade(
+        case.single["features"], weights_of(case.single), case.fast, np.array(BACKGROUND, np.float32)
+    )
     reference = twin.shade(
         case.double["features"],
         weights_of(case.double),
@@ -64,7 +68,12 @@ def incoming(case: Case, seed: int, margin: int) -> torch.Tensor:
     """Return a random gradient image (B,3,H,W) float64 of float32 values, 0 within `margin` pixels of a flipped one."""
     shape = (case.flipped.shape[0], 3, *case.flipped.shape[1:])
     image = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
-    near = torch.nn.functional.max_pool2d(case.flipped[:, None].float(), 2 * margin + 1, stride=1, padding=margin) > 0
+    near = (
+        torch.nn.functional.max_pool2d(
+            case.flipped[:, None].float(), 2 * margin + 1, stride=1, padding=margin
+        )
+        > 0
+    )
     return torch.where(near, 0.0, image).double()
 
 
@@ -109,7 +118,10 @@ def test_edge_gradient_agrees():
     case = make_case(3)
     fast_colour, reference_colour = (colour.detach() for colour in shade_both(case))
     gradient = incoming(case, 3, margin=1)
-    fast_vertices, vertices = case.single["vertices"].requires_grad_(), case.double["vertices"].requires_grad_()
+    fast_vertices, vertices = (
+        case.single["vertices"].requires_grad_(),
+        case.double["vertices"].requires_grad_(),
+    )
     fast_colour.requires_grad_()
     image = functions.edge_gradient(fast_colour, fast_vertices, case.fast)
     assert torch.equal(image, fast_colour)
@@ -125,7 +137,9 @@ def test_edge_gradient_agrees():
 def test_opacity_gradient_agrees_and_has_value_zero():
     case = make_case(4)
     colour = torch.rand(case.flipped.shape[0], 3, 64, 56, generator=torch.Generator().manual_seed(4))
-    target = torch.where(case.flipped[:, None], colour, torch.rand(colour.shape, generator=torch.Generator().manual_seed(5)))
+    target = torch.where(
+        case.flipped[:, None], colour, torch.rand(colour.shape, generator=torch.Generator().manual_seed(5))
+    )
     fast_opacity, opacity = case.single["opacity"].requires_grad_(), case.double["opacity"].requires_grad_()
     value = functions.opacity_gradient(fast_opacity, colour, target, case.fast)
     assert value.item() == 0.0
@@ -137,7 +151,9 @@ def test_opacity_gradient_agrees_and_has_value_zero():
 @pytest.mark.parametrize("everywhere", [True, False])
 def test_photometric_loss_and_gradient_agree(everywhere):
     draw = torch.Generator().manual_seed(6)
-    target = torch.nn.functional.interpolate(torch.rand(3, 3, 9, 8, generator=draw), (50, 43), mode="bilinear")
+    target = torch.nn.functional.interpolate(
+        torch.rand(3, 3, 9, 8, generator=draw), (50, 43), mode="bilinear"
+    )
     colour = (target + 0.2 * torch.randn(target.shape, generator=draw)).clamp(0, 1)
     if not everywhere:  # equal but for a patch near a corner, and one view equal altogether
         patch = torch.zeros_like(target, dtype=torch.bool)
@@ -147,7 +163,9 @@ def test_photometric_loss_and_gradient_agree(everywhere):
     value = functions.photometric_loss(fast_colour, target)
     expected = twin.photometric_loss(reference, target.double())
     assert value.item() == pytest.approx(expected.item(), rel=1e-5)
-    assert functions.photometric_loss(colour, target, functions.target_statistics(target)).item() == value.item()
+    assert (
+        functions.photometric_loss(colour, target, functions.target_statistics(target)).item() == value.item()
+    )
     value.backward()
     expected.backward()
     assert distance(fast_colour.grad, reference.grad) < 1e-4
@@ -218,7 +236,13 @@ def test_any_soup_agrees(seed, count, stochastic):
     kept = ~case.flipped[:, None].expand_as(fast_colour)
     assert (fast_colour.double() - reference_colour)[kept].abs().max() < 1e-2
     gradient = incoming(case, seed, margin=1)
-    fast_vertices, vertices = case.single["vertices"].requires_grad_(), case.double["vertices"].requires_grad_()
+    fast_vertices, vertices = (
+        case.single["vertices"].requires_grad_(),
+        case.double["vertices"].requires_grad_(),
+    )
     functions.edge_gradient(fast_colour, fast_vertices, case.fast).backward(gradient.float())
     twin.edge_gradient(reference_colour, vertices, case.reference, case.double["matrices"]).backward(gradient)
-    assert float((fast_vertices.grad.double() - vertices.grad).norm()) <= 1e-3 * float(vertices.grad.norm()) + 1e-6
+    assert (
+        float((fast_vertices.grad.double() - vertices.grad).norm())
+        <= 1e-3 * float(vertices.grad.norm()) + 1e-6
+    )

@@ -30,7 +30,11 @@ def test_the_program_runs(tmp_path):
     assert blocks("python")
     for program in blocks("python"):
         result = subprocess.run(
-            [sys.executable, "-W", "error", "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=300
+            [sys.executable, "-W", "error", "-c", program],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            timeout=300,
         )
         assert result.returncode == 0, result.stderr
         assert "longest loop: 0." in result.stdout and "gradient: torch.Size([512, 3])" in result.stdout
@@ -48,7 +52,11 @@ def test_commands_parse(command):
 
 def test_paths_exist():
     named = re.findall(r"`((?:paper_artifact|notebooks|data_scripts|results|tests)/[\w./-]*)`", TEXT)
-    made = {"results/executed/", "results/scenes/my", "data_scripts/downloads/"}  # git-ignored, written by the commands
+    made = {
+        "results/executed/",
+        "results/scenes/my",
+        "data_scripts/downloads/",
+    }  # git-ignored, written by the commands
     assert [path for path in named if path not in made and not (REPOSITORY / path).exists()] == []
 
 

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 
 from paper_artifact.errors import InputError
 from paper_artifact.record.packing import pack, unpack
-from paper_artifact.record.record import config_hash, find_records, make_record, read_record, record_path, write_record
+from paper_artifact.record.store import (
+    config_hash,
+    find_records,
+    make_record,
+    read_record,
+    record_path,
+    write_record,
+)
 
 
 @dataclass(frozen=True)
@@ -26,9 +33,18 @@ class Config:
 
 
 def example(config=Config(), **more) -> dict:
-    dumps = [{"step": step, "bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]} for step in (2300, 2400, 2500)]
+    dumps = [
+        {"step": step, "bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]} for step in (2300, 2400, 2500)
+    ]
     losses = {"step": np.arange(2500), "total": np.linspace(1, 0.1, 2500, dtype=np.float32)}
-    return make_record(config, dumps, {"bottleneck": np.array([0.001, 0.02, 0.003])}, {"train": 12.34567}, losses=losses, **more)
+    return make_record(
+        config,
+        dumps,
+        {"bottleneck": np.array([0.001, 0.02, 0.003])},
+        {"train": 12.34567},
+        losses=losses,
+        **more,
+    )
 
 
 def test_round_trip(tmp_path):
@@ -58,14 +74,20 @@ def test_find_records_by_config(tmp_path):
             write_record(example(replace(Config(), seed=seed, condition=condition)), tmp_path)
     assert len(find_records(tmp_path)) == 6
     found = find_records(tmp_path, condition="C1", seed=(0, 2))
-    assert [(record["config"]["condition"], record["config"]["seed"]) for record in found] == [("C1", 0), ("C1", 2)]
+    assert [(record["config"]["condition"], record["config"]["seed"]) for record in found] == [
+        ("C1", 0),
+        ("C1", 2),
+    ]
     assert find_records(tmp_path, ramp=(0.2, 0.5), shape="sphere") == []
     assert find_records(tmp_path / "nothing") == []
 
 
 def refresh(step: int) -> dict:
     live = [0.013 + step / 1e6, 0.155 - step / 1e6]
-    targets = [{"kind": kind, "live": live, "target": [0.0130424, 0.1559181]} for kind in ("matched", "recruited", "recruited")]
+    targets = [
+        {"kind": kind, "live": live, "target": [0.0130424, 0.1559181]}
+        for kind in ("matched", "recruited", "recruited")
+    ]
     return {
         "event": "refresh",
         "step": step,
@@ -76,7 +98,9 @@ def refresh(step: int) -> dict:
 
 
 def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
-    log = [refresh(step) for step in range(501, 2501, 10)] + [{"event": "lambda", "step": 501, "lambda_peak": 1 / 3}]
+    log = [refresh(step) for step in range(501, 2501, 10)] + [
+        {"event": "lambda", "step": 501, "lambda_peak": 1 / 3}
+    ]
     record = example(topology=log)
     path = write_record(record, tmp_path)
     assert read_record(path) == record and record["topology"][-1]["lambda_peak"] == 0.3333333
@@ -85,7 +109,11 @@ def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
 
 
 json_values = st.recursive(
-    st.none() | st.booleans() | st.integers(-3, 3) | st.sampled_from([0.5, 1.0, -0.0]) | st.sampled_from("ab"),
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 3)
+    | st.sampled_from([0.5, 1.0, -0.0])
+    | st.sampled_from("ab"),
     lambda inner: (
         st.lists(inner, max_size=5)
         | st.dictionaries(st.sampled_from("xyz"), inner, max_size=3)
@@ -168,5 +196,7 @@ def test_make_record_refuses_what_it_cannot_hold():
 
 
 def test_failed_run_keeps_its_reason(tmp_path):
-    record = make_record(Config(), [], {}, {"train": 1.0}, status="failed", error="the loss became NaN at step 12")
+    record = make_record(
+        Config(), [], {}, {"train": 1.0}, status="failed", error="the loss became NaN at step 12"
+    )
     assert read_record(write_record(record, tmp_path))["error"].endswith("step 12")

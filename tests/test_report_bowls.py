@@ -24,7 +24,9 @@ def study(tmp_path, monkeypatch):
         monkeypatch.setitem(report_records.BETTI, shape, (1, 0, 0))
     for condition, tail, count in (("C0", 0.05, 1), ("C1", 0.01, 1), ("C2", 0.12, 0)):
         for seed in range(3):
-            record = report_records.study_record("bowl_narrow", condition, seed, tail + 0.001 * seed, counts=(0, 0, count))
+            record = report_records.study_record(
+                "bowl_narrow", condition, seed, tail + 0.001 * seed, counts=(0, 0, count)
+            )
             report_records.write_record(record, tmp_path)
     report_records.write_study(tmp_path, {("bowl_wide", "C0", 1): 0.04})
     return matrix.collect_study("bowls", folder=tmp_path)
@@ -63,7 +65,10 @@ def test_outcomes_and_what_is_missing(study, stairs):
     table = bowls.outcome_table(study, stairs)
     assert len(table) == 6 and table.loc[("bowl_narrow", "C1"), "our tails"] == ".0100/.0110/.0120"
     assert table.loc[("bowl_narrow", "C1"), "paper's tails"] == ".0137/.0126/.0151"
-    assert table.loc[("bowl_wide", "C1"), "our tails"] == "not recorded" and table.loc[("bowl_wide", "C2"), "paper's"] == "3.1"
+    assert (
+        table.loc[("bowl_wide", "C1"), "our tails"] == "not recorded"
+        and table.loc[("bowl_wide", "C2"), "paper's"] == "3.1"
+    )
     low, high = map(float, table.loc[("bowl_wide", "C0"), "half the void"].split("–"))
     assert low <= high == pytest.approx(0.077, abs=0.001)
     cell = matrix.matrix_table(study).loc["C0", ("bowl_wide", "ours")]
@@ -72,7 +77,10 @@ def test_outcomes_and_what_is_missing(study, stairs):
 
 def test_counts_are_held_against_the_clean_bowl_not_its_homology(study, stairs):
     table = bowls.verdict_table(study, stairs)
-    assert table.loc["bowl_narrow", "verdict"] == "pass" and table.loc["bowl_narrow", "paper's tails give"] == "pass"
+    assert (
+        table.loc["bowl_narrow", "verdict"] == "pass"
+        and table.loc["bowl_narrow", "paper's tails give"] == "pass"
+    )
     assert table.loc["bowl_narrow", "wrong count in C1, seeds"] == "none"
     assert table.loc["bowl_narrow", "wrong count in C2, seeds"] == "0, 1, 2"
     assert table.loc["bowl_wide", "verdict"] == "incomplete"

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from paper_artifact.certify.certificate import certify
-from paper_artifact.certify.disposition import Disposition
+from paper_artifact.study.dispositions import Disposition
 from paper_artifact.report import group_wave, measured, staircase
 from paper_artifact.report.published import published
 from paper_artifact.scene.shapes import make_shape
@@ -45,14 +45,14 @@ def test_the_quoted_bars_are_found(stored):
     notes = ("loop 4", "second H2 bar", "void", "loop 3; half is the pin .0249", "")
     assert [group_wave.rank_of(note) for note in notes] == [4, 2, 1, 3, 1]
     table = group_wave.quoted_table(stored)
-    assert len(table) == 20 and list(table.index[table["paper in range"] == "no"].get_level_values("shape")) == [
-        "rocker-arm",
-        "eight",
-        "cheburashka",
-    ]
+    assert len(table) == 20 and list(
+        table.index[table["paper in range"] == "no"].get_level_values("shape")
+    ) == ["rocker-arm", "eight", "cheburashka"]
     assert table.loc[("eight", 8192, "margin, loop 4"), "paper"] == "1.69"
     own = stored[(stored["shape"] == "horse") & (stored["samples"] == 20_000)]["h2_1"]
-    assert float(table.loc[("horse", 20_000, "lifetime, void 1"), "median"]) == pytest.approx(np.median(own), abs=5.1e-5)
+    assert float(table.loc[("horse", 20_000, "lifetime, void 1"), "median"]) == pytest.approx(
+        np.median(own), abs=5.1e-5
+    )
 
 
 def test_pins_are_half_lifetimes_and_near_the_paper_s(stored):
@@ -60,7 +60,9 @@ def test_pins_are_half_lifetimes_and_near_the_paper_s(stored):
     assert list(table.index) == list(group_wave.PINS)
     own = stored[(stored["shape"] == "eight") & (stored["samples"] == 20_000)]["h1_3"]
     assert float(table.loc["eight", "half its lifetime"]) == pytest.approx(own.mean() / 2, abs=5.1e-5)
-    assert (table["half its lifetime"].astype(float) - table["paper's pinned tail"].astype(float)).abs().max() < 6e-4
+    assert (
+        table["half its lifetime"].astype(float) - table["paper's pinned tail"].astype(float)
+    ).abs().max() < 6e-4
 
 
 def test_seed_dependence_names_the_bar_at_the_floor():
@@ -73,7 +75,11 @@ def test_seed_dependence_names_the_bar_at_the_floor():
     table = group_wave.seed_dependence(pd.DataFrame(lines))
     assert list(table.index) == [("x", 100)]
     row = table.loc[("x", 100)]
-    assert row["counts"] == "(1,1,1) 2×, (1,1,0) 1×" and row["bar at the floor"] == "void 1" and row["median"] == 1.1
+    assert (
+        row["counts"] == "(1,1,1) 2×, (1,1,0) 1×"
+        and row["bar at the floor"] == "void 1"
+        and row["median"] == 1.1
+    )
 
 
 def test_polygons_are_counted_before_any_split(tmp_path):
@@ -82,7 +88,9 @@ def test_polygons_are_counted_before_any_split(tmp_path):
     assert group_wave.polygon_counts(path) == (0, 0, 2)
     path.write_text(BOX + "".join(SIDES[1:]))
     assert group_wave.polygon_counts(path) == (4, 0, 1)
-    path.write_text(BOX + "v 0 0 0\n" + "".join(SIDES).replace("f 1 5", "f 9 5") + "f -9 -8 5\n")  # a doubled point, a fin
+    path.write_text(
+        BOX + "v 0 0 0\n" + "".join(SIDES).replace("f 1 5", "f 9 5") + "f -9 -8 5\n"
+    )  # a doubled point, a fin
     assert group_wave.polygon_counts(path) == (1, 2, 2)
     path.write_text(BOX + "f 1 2 3\nf 2 3 4\n")
     assert group_wave.polygon_counts(path) is None and group_wave.polygon_counts(tmp_path / "box.ply") is None
@@ -100,4 +108,8 @@ def test_dispositions_as_tables(monkeypatch, tmp_path):
     assert table.loc["horse", "agrees"] == "yes" and table.loc["max-planck", "agrees"] == "—"
     assert table.loc["horse", "paper's origin"] == "CyberWare / GaTech"
     detail = group_wave.detail_table(rows)
-    assert list(detail.index) == ["horse"] and detail.loc["horse", "wound"] == "inwards" and detail.loc["horse", "χ"] == 2
+    assert (
+        list(detail.index) == ["horse"]
+        and detail.loc["horse", "wound"] == "inwards"
+        and detail.loc["horse", "χ"] == 2
+    )

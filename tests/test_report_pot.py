@@ -38,7 +38,9 @@ def test_the_inventory_stands_beside_the_paper_s(solid, stairs, tmp_path, monkey
     assert len(table) == published("S4")["quantity"].nunique()
     for same in ("open shells", "components", "genus", "betti"):
         assert table.loc[same, "paper's pot"] == table.loc[same, "stand-in"]
-    assert table.loc["raw vertices", "paper's pot"] == "6318" and table.loc["raw vertices", "stand-in"] == "1272"
+    assert (
+        table.loc["raw vertices", "paper's pot"] == "6318" and table.loc["raw vertices", "stand-in"] == "1272"
+    )
     assert table.loc["ratio C0 over C1", "stand-in"] == "no run recorded"
     trained = records(monkeypatch, C0=(0.02, 0.004), C1=(0.005, 0.004), C2=(0.03, 0.006))
     table = report.challenge_table(raw_pot(), solid, stairs, trained)
@@ -59,9 +61,13 @@ def test_the_staircase_is_the_paper_s(solid, stairs):
 
 def test_the_rule_gives_the_study_s_protocol(solid):
     text = report.decision_text(audit_mesh(solid.shell, "pot", densities=(2048, 8192)))
-    assert text.startswith("class H2, M = 8192, the loss acts on (2,)") and text.endswith("is this decision: True")
+    assert text.startswith("class H2, M = 8192, the loss acts on (2,)") and text.endswith(
+        "is this decision: True"
+    )
     sphere = make_shape("sphere")
-    assert report.decision_text(audit_mesh(sphere, densities=(2048,), working=(2048,))).endswith("decision: False")
+    assert report.decision_text(audit_mesh(sphere, densities=(2048,), working=(2048,))).endswith(
+        "decision: False"
+    )
 
 
 def test_the_bar_is_the_flue(solid, stairs):
@@ -75,7 +81,9 @@ def test_the_cut_is_half_of_the_surface_and_is_drawn_filled(solid):
     sphere = make_shape("sphere")
     vertices, faces = report.cut_open(sphere)
     half = trimesh.Trimesh(vertices, faces, process=False)
-    assert half.area == pytest.approx(trimesh.Trimesh(sphere.vertices, sphere.faces, process=False).area / 2, rel=1e-3)
+    assert half.area == pytest.approx(
+        trimesh.Trimesh(sphere.vertices, sphere.faces, process=False).area / 2, rel=1e-3
+    )
     assert vertices[np.unique(faces), 1].min() > -1e-9
     image = report.pot_figure(solid, 60).axes[2].images[0].get_array()
     red = (image[..., 0] > 0.5) & (image[..., 1] < 0.5)

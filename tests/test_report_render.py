@@ -19,11 +19,18 @@ def inked(image):
 
 def test_a_sphere_fills_the_image_whatever_its_place_and_size():
     sphere = make_shape("sphere")
-    images = [render_flat(sphere.vertices * scale + shift, sphere.faces, 100) for scale, shift in ((1, 0), (7, (40, -3, 9)))]
+    images = [
+        render_flat(sphere.vertices * scale + shift, sphere.faces, 100)
+        for scale, shift in ((1, 0), (7, (40, -3, 9)))
+    ]
     for image in images:
         rows, columns = inked(image)
-        assert len(rows) == pytest.approx(100 / MARGIN, abs=2) and len(columns) == pytest.approx(100 / MARGIN, abs=2)
-        assert rows[0] + rows[-1] == pytest.approx(99, abs=1) and columns[0] + columns[-1] == pytest.approx(99, abs=1)
+        assert len(rows) == pytest.approx(100 / MARGIN, abs=2) and len(columns) == pytest.approx(
+            100 / MARGIN, abs=2
+        )
+        assert rows[0] + rows[-1] == pytest.approx(99, abs=1) and columns[0] + columns[-1] == pytest.approx(
+            99, abs=1
+        )
     assert abs(images[0] - images[1]).mean() < 1e-3
 
 

@@ -31,20 +31,31 @@ def study(tmp_path_factory):
 def test_matrix_says_what_is_recorded_and_what_is_not(study):
     table = matrix.matrix_table(study)
     assert table.loc["C1", ("sphere", "ours")] == ".0170±.0016 (3.65×), 5 seeds"
-    assert table.loc["C0", ("torus", "ours")] == ".0400, 1 of 5 seeds" and table.loc["C3", ("sphere", "ours")] == "not recorded"
-    assert table.loc["C1", ("sphere", "paper")] == ".0156±.0013 (3.99×)" and table.loc["C2g", ("sphere", "paper")].startswith(
-        ".0972"
+    assert (
+        table.loc["C0", ("torus", "ours")] == ".0400, 1 of 5 seeds"
+        and table.loc["C3", ("sphere", "ours")] == "not recorded"
     )
-    assert table.loc["C5", ("sphere", "ours")] == "" and table.loc["C5", ("sphere", "paper")].startswith(".0082")
+    assert table.loc["C1", ("sphere", "paper")] == ".0156±.0013 (3.99×)" and table.loc[
+        "C2g", ("sphere", "paper")
+    ].startswith(".0972")
+    assert table.loc["C5", ("sphere", "ours")] == "" and table.loc["C5", ("sphere", "paper")].startswith(
+        ".0082"
+    )
     assert len(study.records) + len(study.missing) == len(study_configs("table1"))
 
 
 def test_verdicts_and_reasons(study):
     judged = matrix.verdicts(study)
     assert judged.loc["sphere", "verdict"] == "pass" and judged.loc["torus", "verdict"] == "incomplete"
-    assert judged.loc["sphere", "phantoms in C1, seeds"] == "none" and float(judged.loc["sphere", "Welch C0 − C1"]) > 10
+    assert (
+        judged.loc["sphere", "phantoms in C1, seeds"] == "none"
+        and float(judged.loc["sphere", "Welch C0 − C1"]) > 10
+    )
     text = matrix.reasons(study)
-    assert "sphere: pass" in text and "Welch, torus C6 vs C1: paper 12.4; ours needs five recorded seeds of each" in text
+    assert (
+        "sphere: pass" in text
+        and "Welch, torus C6 vs C1: paper 12.4; ours needs five recorded seeds of each" in text
+    )
     assert matrix.chamfer_table(study).loc["C0", "sphere, paper"] == 0.5
 
 
@@ -52,7 +63,9 @@ def test_figures_draw_what_the_tables_say(study):
     figure = matrix.trajectory_figure(study)
     lines = figure.axes[0].lines
     assert [line.get_label() for line in lines] == ["C0", "C1", "C2", "C6"]
-    np.testing.assert_allclose(lines[1].get_ydata(), matrix.trajectory_table(study, "sphere")["C1"], atol=1e-4)
+    np.testing.assert_allclose(
+        lines[1].get_ydata(), matrix.trajectory_table(study, "sphere")["C1"], atol=1e-4
+    )
     assert matrix.seed_table(study).loc[("sphere", "C1"), "our tails"] == ".0150/.0160/.0170/.0180/.0190"
     assert len(matrix.seed_figure(study).axes) == 2
     assert matrix.diagram_table(study).loc["C0", "step 2500"] == "(0.0200, 0.2500)"
@@ -68,8 +81,13 @@ def test_an_h0_tail_is_the_most_isolated_sample():
 
 def test_plans(study):
     table = plans.plan_table(study)
-    assert table.loc[("torus", "C1"), "recruiting %"] == 100 and table.loc[("torus", "C6"), "unreached %"] == 100
-    assert table.loc[("sphere", "C1"), "refreshes"] == 1000 and table.loc[("sphere", "C1"), "Gabriel failures"] == 0
+    assert (
+        table.loc[("torus", "C1"), "recruiting %"] == 100 and table.loc[("torus", "C6"), "unreached %"] == 100
+    )
+    assert (
+        table.loc[("sphere", "C1"), "refreshes"] == 1000
+        and table.loc[("sphere", "C1"), "Gabriel failures"] == 0
+    )
     assert table.loc[("torus", "C6"), "residual at M"] == pytest.approx(0.01)
     assert plans.composition_table(study)["refreshes"].tolist() == [200, 200, 200]
     assert len(plans.plan_figure(study).axes) == 3
@@ -88,7 +106,9 @@ def test_reports_of_nothing(tmp_path):
     ):
         assert figure.axes
     assert (
-        len(cost.share_table(empty)) == 1 and matrix.diagram_table(empty).empty and matrix.trajectory_table(empty, "sphere").empty
+        len(cost.share_table(empty)) == 1
+        and matrix.diagram_table(empty).empty
+        and matrix.trajectory_table(empty, "sphere").empty
     )
 
 
@@ -108,7 +128,9 @@ def test_staircase_counts_the_bundles_bars():
 def test_stored_staircase_matches_what_the_code_measures():
     stored = measured.read("staircase")
     assert len(stored) == 8 * 6 * 5
-    lines, difference = staircase.agreement(stored, staircase.measure_all(("cube", "bowl_wide"), (512,), (3,)))
+    lines, difference = staircase.agreement(
+        stored, staircase.measure_all(("cube", "bowl_wide"), (512,), (3,))
+    )
     assert lines == 2 and difference < 1e-4
     figure = staircase.floor_figure(stored, {"torus": (1, (1, 2), "loop")})
     assert len(figure.axes[0].lines) == 4
@@ -138,26 +160,42 @@ def test_a_flip_point_is_where_the_bundle_changes():
     mesh = make_shape("torus")
     margins = windows.margin_table(("torus",), (0,))
     flip = 6 * margins[margins["in"]]["margin"].min()
-    kept = [len(build_from_mesh(mesh.vertices, mesh.faces, 2048, 0, k=k).bars[1]) for k in (flip - 0.01, flip + 0.01)]
+    kept = [
+        len(build_from_mesh(mesh.vertices, mesh.faces, 2048, 0, k=k).bars[1])
+        for k in (flip - 0.01, flip + 0.01)
+    ]
     assert kept == [2, 1]
 
 
 def test_cost_tables(study):
     stored = cost.measure_all((200, 800), 1)
     table = cost.beside_paper(stored)
-    assert list(table.index) == ["M = 200", "M = 800", "growth exponent"] and table.loc["growth exponent", "paper ms"] == 1.05
+    assert (
+        list(table.index) == ["M = 200", "M = 800", "growth exponent"]
+        and table.loc["growth exponent", "paper ms"] == 1.05
+    )
     assert set(cost.stage_table(stored).index) == set(cost.STAGES) and "gudhi 3" in cost.machine(stored)
     assert len(cost.cost_figure(stored).axes[0].lines) == 4
     growth = cost.growth_table(stored)
-    assert list(growth.index) == ["torus", "soup", "smooth torus"] and growth["exponent, tetrahedra"].between(0.8, 1.4).all()
+    assert (
+        list(growth.index) == ["torus", "soup", "smooth torus"]
+        and growth["exponent, tetrahedra"].between(0.8, 1.4).all()
+    )
     share = cost.share_table(study)
-    assert share.loc["sphere", "loss adds %"] == round(100 * 10 / 35) and share.iloc[-1]["loss adds %"] == "112–139"
+    assert (
+        share.loc["sphere", "loss adds %"] == round(100 * 10 / 35)
+        and share.iloc[-1]["loss adds %"] == "112–139"
+    )
 
 
 def test_measurements_are_written_and_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(cost, "measure_all", lambda progress=None: pd.DataFrame({"M": [2048], "fast_ms": [1 / 3]}))
+    monkeypatch.setattr(
+        cost, "measure_all", lambda progress=None: pd.DataFrame({"M": [2048], "fast_ms": [1 / 3]})
+    )
     path = measured.measure("cost", tmp_path)
-    assert path.read_text() == "M,fast_ms\n2048,0.333333\n" and measured.read("cost", tmp_path)["M"].tolist() == [2048]
+    assert path.read_text() == "M,fast_ms\n2048,0.333333\n" and measured.read("cost", tmp_path)[
+        "M"
+    ].tolist() == [2048]
     with pytest.raises(InputError, match="python -m paper_artifact measure staircase"):
         measured.read("staircase", tmp_path)
     with pytest.raises(InputError, match="no measurement"):
@@ -165,7 +203,9 @@ def test_measurements_are_written_and_read(tmp_path, monkeypatch):
 
 
 def test_significance_by_counts_is_the_floors():
-    table = pd.DataFrame([{"floor": 0.1} | {f"h1_{rank}": value for rank, value in enumerate((0.5, 0.11, 0.1, 0.05), 1)}])
+    table = pd.DataFrame(
+        [{"floor": 0.1} | {f"h1_{rank}": value for rank, value in enumerate((0.5, 0.11, 0.1, 0.05), 1)}]
+    )
     assert staircase.counts(table, 1).tolist() == [2]
     assert staircase.counts(table, 1, multiplier=3).tolist() == [3]
     assert significant(np.array([[0, 0.5], [0, 0.11], [0, 0.1], [0, 0.05]]), 0.1).sum() == 2

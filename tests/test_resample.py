@@ -24,7 +24,9 @@ def case(seed: int = 0, count: int = 60, size: float = 0.3) -> Soup:
     """Return a random soup whose features and opacity logits tell which triangle and corner they come from."""
     parts = random_soup(seed, count, size)
     features = torch.arange(count * 21, dtype=torch.float32).reshape(count, 3, 7) / (count * 21)
-    return Soup(parts["vertices"].float(), features, torch.logit(parts["opacity"]).float(), initial_mlp(seed)).trainable()
+    return Soup(
+        parts["vertices"].float(), features, torch.logit(parts["opacity"]).float(), initial_mlp(seed)
+    ).trainable()
 
 
 def views(count: int = 5) -> np.ndarray:
@@ -65,22 +67,32 @@ def edge_lengths(corners: np.ndarray, matrix: np.ndarray, aspect: float) -> np.n
     return np.where(inside & np.roll(inside, -1, axis=1), np.linalg.norm(difference, axis=-1), 0.0)
 
 
-def split(corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: float = 1.0, limit: float = 0.4):
+def split(
+    corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: float = 1.0, limit: float = 0.4
+):
     corners = np.ascontiguousarray(corners)
-    return split_long_edges(corners, np.arange(len(corners)), wanted, np.asarray(matrix, np.float64), aspect, limit)
+    return split_long_edges(
+        corners, np.arange(len(corners)), wanted, np.asarray(matrix, np.float64), aspect, limit
+    )
 
 
 def test_pruning_keeps_the_most_visible_in_their_order():
     soup, world_to_clip = case(), views()
     budget = 25
-    kept, report = Resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100)  # step 99 of 100: no split
+    kept, report = Resampler(budget).resample(
+        soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100
+    )  # step 99 of 100: no split
     assert (report.before, report.pruned, report.after) == (60, budget, budget) and len(kept) == budget
 
     counts = independent_counts(soup, world_to_clip, HEIGHT // 2, HEIGHT // 2)
     order = sorted(range(len(soup)), key=lambda t: (counts[t], t))  # the least visible first, ties by index
     wanted = sorted(order[len(soup) - budget :])
     assert counts[wanted].min() >= max(counts[t] for t in range(len(soup)) if t not in wanted)
-    for before, after in ((soup.vertices, kept.vertices), (soup.features, kept.features), (soup.opacity, kept.opacity)):
+    for before, after in (
+        (soup.vertices, kept.vertices),
+        (soup.features, kept.features),
+        (soup.opacity, kept.opacity),
+    ):
         assert torch.equal(after, before[wanted])
         assert after.is_leaf and after.requires_grad
     assert kept.mlp is soup.mlp
@@ -157,7 +169,10 @@ def test_the_split_point_is_the_midpoint_in_the_image_not_in_space():
 def test_an_edge_with_an_end_outside_the_clip_cube_is_left_alone():
     matrix = look_at((0.0, 0.0, -4.0))
     outside = np.array(
-        [[[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]], [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]]]
+        [
+            [[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
+            [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]],
+        ]
     )
     children, origins = split(outside, np.ones(2, bool), matrix)
     assert np.array_equal(children, outside) and origins.tolist() == [0, 1]
@@ -177,7 +192,9 @@ def test_children_inherit_features_and_opacity():
     assert report.after == len(after) > report.pruned == 60
     # Features name their triangle: their first entry, times what `case` divided by.
     origins = np.rint(after.features[:, 0, 0].detach().numpy() * 60 * 21 / 21).astype(int)
-    assert torch.equal(after.features, soup.features[origins]) and torch.equal(after.opacity, soup.opacity[origins])
+    assert torch.equal(after.features, soup.features[origins]) and torch.equal(
+        after.opacity, soup.opacity[origins]
+    )
     # Split are exactly the triangles that show an edge above the limit, 2·.25 in NDC, in a drawn view that sees them.
     drawn = world_to_clip[stream(7, "split-views", 10).permutation(5)[:3]]
     seen = visible_pixels(soup, drawn, HEIGHT // 2, HEIGHT) > 0
@@ -185,16 +202,24 @@ def test_children_inherit_features_and_opacity():
     np.testing.assert_allclose(np.bincount(origins, areas(children)), areas(corners), rtol=1e-3, atol=1e-6)
     longest = np.stack([edge_lengths(corners, matrix, 2.0).max(1) for matrix in drawn])
     long = longest > 0.5
-    assert np.array_equal(np.bincount(origins) > 1, (long & seen).any(0)) and (long & ~seen).any() and (~long & seen).any()
+    assert (
+        np.array_equal(np.bincount(origins) > 1, (long & seen).any(0))
+        and (long & ~seen).any()
+        and (~long & seen).any()
+    )
     reach = np.where(seen, longest, 0.0).max(0)
     assert ((reach > 0.26) & (reach < 0.5)).any()  # so that half the limit would split more
     # The last view has the last word on those it sees.
-    assert (edge_lengths(children, drawn[-1], 2.0)[seen[-1][origins]] <= 0.5 * (1 + 1e-5)).all() and (long & seen)[-1].any()
+    assert (edge_lengths(children, drawn[-1], 2.0)[seen[-1][origins]] <= 0.5 * (1 + 1e-5)).all() and (
+        long & seen
+    )[-1].any()
 
 
 def test_no_split_views_beyond_those_there_are_and_the_same_seed_gives_the_same_bits():
     soup = case(5, size=1.0)
-    first, second = (Resampler(60, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0] for _ in range(2))
+    first, second = (
+        Resampler(60, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0] for _ in range(2)
+    )
     assert torch.equal(first.vertices, second.vertices)
     other = Resampler(60, split_views=1).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0]
     assert len(other) < len(first)
@@ -227,7 +252,11 @@ def test_split_weight_chooses_among_the_visible():
         return visible & (np.arange(len(visible)) < 30)
 
     some, every = (
-        len(replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0])
+        len(
+            replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[
+                0
+            ]
+        )
         for weight in (only_the_first_half, all_visible)
     )
     assert 60 < some < every
@@ -255,4 +284,6 @@ def test_sanity_check_stops_vertices_that_are_not_finite_and_parts_of_other_leng
         Resampler(60).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
     soup = case()
     with pytest.raises(RuntimeError, match="resampling broke the soup"):
-        Resampler(60).resample(replace(soup, features=soup.features[:50]), views(), HEIGHT, HEIGHT, 0, 99, 100)
+        Resampler(60).resample(
+            replace(soup, features=soup.features[:50]), views(), HEIGHT, HEIGHT, 0, 99, 100
+        )

@@ -21,21 +21,30 @@ PARAMETERS = 'profile = "recorded"'
 def write_notebook(path: Path, *sources: str) -> Path:
     parameters = v4.new_code_cell(PARAMETERS, metadata={"tags": ["parameters"]})
     path.parent.mkdir(parents=True, exist_ok=True)
-    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell("# Title"), parameters, *map(v4.new_code_cell, sources)]), path)
+    nbformat.write(
+        v4.new_notebook(cells=[v4.new_markdown_cell("# Title"), parameters, *map(v4.new_code_cell, sources)]),
+        path,
+    )
     return path
 
 
 def printed(path: Path) -> str:
     cells = nbformat.read(path, as_version=4).cells
-    return "".join(output.get("text", "") for cell in cells if cell.cell_type == "code" for output in cell.outputs)
+    return "".join(
+        output.get("text", "") for cell in cells if cell.cell_type == "code" for output in cell.outputs
+    )
 
 
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):
     folder, out = tmp_path / "notebooks", tmp_path / "out"
-    write_notebook(folder / "02_broken.ipynb", "print('before')", "raise ValueError('no such\\nshape')", "print('after')")
+    write_notebook(
+        folder / "02_broken.ipynb", "print('before')", "raise ValueError('no such\\nshape')", "print('after')"
+    )
     write_notebook(folder / "01_first.ipynb", "print(profile)")
     write_notebook(folder / "03_last.ipynb", "import os, sys; print(sys.executable, os.getcwd(), sep='\\n')")
-    assert main(["run-all", "--notebooks", str(folder), "--out", str(out), "--profile", "full", "--quiet"]) == 1
+    assert (
+        main(["run-all", "--notebooks", str(folder), "--out", str(out), "--profile", "full", "--quiet"]) == 1
+    )
     printed_here = capsys.readouterr()
     rows = printed_here.out.splitlines()
     assert [row.split()[0] for row in rows[:4]] == ["notebook", "01_first", "02_broken", "03_last"]
@@ -49,8 +58,18 @@ def test_order_profile_failure_and_exit_code(tmp_path, capsys):
 
 
 def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
-    path = write_notebook(tmp_path / "notebooks" / "01_a.ipynb", "value = 2 if profile == 'recorded' else 3", "value * 21")
-    command = ["run-all", "--notebooks", str(path.parent), "--out", str(tmp_path / "out"), "--refresh", "--quiet"]
+    path = write_notebook(
+        tmp_path / "notebooks" / "01_a.ipynb", "value = 2 if profile == 'recorded' else 3", "value * 21"
+    )
+    command = [
+        "run-all",
+        "--notebooks",
+        str(path.parent),
+        "--out",
+        str(tmp_path / "out"),
+        "--refresh",
+        "--quiet",
+    ]
     assert main(command) == 0
     first = path.read_bytes()
     assert main(command) == 0
@@ -95,7 +114,11 @@ def test_choice_of_notebooks(tmp_path):
         write_notebook(tmp_path / f"{name}.ipynb")
     names = lambda *only: [path.stem for path in notebook_files(tmp_path, only)]  # noqa: E731
     assert names() == ["01_a", "02_b", "02_bc"]
-    assert names("02_b") == ["02_b"] and names("02") == ["02_b", "02_bc"] and names("02_bc.ipynb", "01") == ["01_a", "02_bc"]
+    assert (
+        names("02_b") == ["02_b"]
+        and names("02") == ["02_b", "02_bc"]
+        and names("02_bc.ipynb", "01") == ["01_a", "02_bc"]
+    )
     with pytest.raises(InputError, match="no notebook is called '9'; there are 01_a"):
         notebook_files(tmp_path, ["9"])
     with pytest.raises(InputError, match="no notebooks in"):
@@ -116,11 +139,18 @@ def test_bad_profile_and_unwritable_folder(tmp_path, capsys):
 
 def test_cleaned_removes_what_changes(tmp_path):
     notebook = nbformat.read(write_notebook(tmp_path / "a.ipynb", "1"), as_version=4)
-    notebook.metadata.update(papermill={"start_time": "now"}, widgets={"state": {}}, language_info={"version": "3.11.2"})
+    notebook.metadata.update(
+        papermill={"start_time": "now"}, widgets={"state": {}}, language_info={"version": "3.11.2"}
+    )
     notebook.cells.insert(2, v4.new_code_cell("profile = 'full'", metadata={"tags": ["injected-parameters"]}))
-    notebook.cells[3].metadata.update(papermill={"duration": 1}, execution={"iopub.status.busy": "now"}, tags=["keep"])
+    notebook.cells[3].metadata.update(
+        papermill={"duration": 1}, execution={"iopub.status.busy": "now"}, tags=["keep"]
+    )
     result = cleaned(notebook)
-    assert set(result.metadata) == {"kernelspec", "language_info"} and "version" not in result.metadata.language_info
+    assert (
+        set(result.metadata) == {"kernelspec", "language_info"}
+        and "version" not in result.metadata.language_info
+    )
     assert [cell.metadata for cell in result.cells] == [{}, {"tags": ["parameters"]}, {"tags": ["keep"]}]
     assert "papermill" in json.dumps(notebook), "the argument is left as it was"
     nbformat.validate(result)

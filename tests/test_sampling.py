@@ -18,7 +18,9 @@ def test_points_are_the_barycentric_combinations_of_their_faces():
     assert points.shape == (500, 3) and face.dtype == np.int64
     assert barycentrics.min() >= 0
     np.testing.assert_allclose(barycentrics.sum(axis=1), 1, atol=1e-12)
-    np.testing.assert_allclose((mesh.vertices[mesh.faces[face]] * barycentrics[:, :, None]).sum(axis=1), points, atol=1e-12)
+    np.testing.assert_allclose(
+        (mesh.vertices[mesh.faces[face]] * barycentrics[:, :, None]).sum(axis=1), points, atol=1e-12
+    )
     np.testing.assert_allclose(np.abs(points).max(axis=1), 0.5, atol=1e-12)
 
 
@@ -46,7 +48,9 @@ def test_points_are_uniform_on_a_triangle():
 
 def test_equal_streams_give_equal_points_and_other_streams_others():
     mesh = make_shape("cube")
-    first, again, other = (sample_surface(mesh.vertices, mesh.faces, 50, stream(seed, "test"))[0] for seed in (5, 5, 6))
+    first, again, other = (
+        sample_surface(mesh.vertices, mesh.faces, 50, stream(seed, "test"))[0] for seed in (5, 5, 6)
+    )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 

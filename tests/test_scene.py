@@ -108,7 +108,11 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
 
 def test_folders_by_content_differ_with_mesh_and_configuration(tmp_path):
     cube, torus = make_shape("cube"), make_shape("torus")
-    folders = {scene_folder(mesh, config, tmp_path) for mesh in (cube, torus) for config in (SMALL, replace(SMALL, size=32))}
+    folders = {
+        scene_folder(mesh, config, tmp_path)
+        for mesh in (cube, torus)
+        for config in (SMALL, replace(SMALL, size=32))
+    }
     assert len(folders) == 4 and {folder.parent for folder in folders} == {tmp_path}
 
 
@@ -178,14 +182,20 @@ def deepen_one(folder):
     "damage, words",
     [
         (lambda folder: (folder / "images" / "view_004.png").unlink(), "no image at .*view_004.png"),
-        (lambda folder: (folder / "images" / "view_004.png").write_text("no picture"), "view_004.png is damaged or no image"),
+        (
+            lambda folder: (folder / "images" / "view_004.png").write_text("no picture"),
+            "view_004.png is damaged or no image",
+        ),
         (cut_one, "view_004.png is damaged or no image"),
         (shrink_one, "mixes images of 12×12 and 24×24"),
         (widen_one, "60×24 pixels, another aspect"),
         (deepen_one, "convert it to 8-bit RGB"),
         (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),
         (lambda folder: (folder / "scene.json").write_text("{"), "scene.json is damaged"),
-        (lambda folder: (folder / "scene.json").write_text('{"background": [1, 1, 9], "radius": 1}'), "out of range"),
+        (
+            lambda folder: (folder / "scene.json").write_text('{"background": [1, 1, 9], "radius": 1}'),
+            "out of range",
+        ),
     ],
 )
 def test_damaged_scenes_are_refused(damaged, damage, words):
@@ -210,7 +220,9 @@ def arguments(*words: str) -> argparse.Namespace:
 
 
 def test_the_verb_makes_a_scene_of_a_shape_and_of_a_mesh_file(tmp_path, capsys):
-    assert verb.run(arguments("--shape", "cube", "--out", str(tmp_path / "cube"), "--background", "black")) == 0
+    assert (
+        verb.run(arguments("--shape", "cube", "--out", str(tmp_path / "cube"), "--background", "black")) == 0
+    )
     printed, progress = capsys.readouterr()
     assert "cube (12 triangles" in printed and "3 views" in printed and "rendering cube" in progress
     assert load_scene(tmp_path / "cube").background.tolist() == [0, 0, 0]

@@ -46,10 +46,14 @@ def pins() -> dict[str, str]:
 def test_versions_stand_in_one_place_and_are_what_is_installed():
     assert "python=3.11" in environment()["dependencies"]
     for name, version in pins().items():
-        assert metadata.version(name).split("+")[0] == version, f"run bash test.sh: environment.yml pins {name}=={version}"
+        assert metadata.version(name).split("+")[0] == version, (
+            f"run bash test.sh: environment.yml pins {name}=={version}"
+        )
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     named = {*project["dependencies"], *project["optional-dependencies"]["cluster"]}
-    assert named == set(pins()) - {"setuptools"}, "pyproject.toml names what environment.yml pins, dask in the extra"
+    assert named == set(pins()) - {"setuptools"}, (
+        "pyproject.toml names what environment.yml pins, dask in the extra"
+    )
     assert all(name.replace("-", "_").isidentifier() for name in named), "names only, no versions"
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["version"] == paper_artifact.__version__
@@ -69,7 +73,21 @@ class Setup:
         self.bin.mkdir()
         for name in ("test.sh", "environment.yml", "pyproject.toml", ".ci/bootstrap.sh", ".ci/run"):
             shutil.copy(REPOSITORY / name, self.root / name)
-        for tool in ("bash", "sed", "awk", "cat", "cksum", "dirname", "grep", "tail", "mkdir", "rm", "mv", "cp", "env"):
+        for tool in (
+            "bash",
+            "sed",
+            "awk",
+            "cat",
+            "cksum",
+            "dirname",
+            "grep",
+            "tail",
+            "mkdir",
+            "rm",
+            "mv",
+            "cp",
+            "env",
+        ):
             (self.bin / tool).symlink_to(shutil.which(tool))
         self.source = folder / "stub"
         self.source.write_text(STUB)
@@ -80,9 +98,16 @@ class Setup:
         target.write_text(STUB if text is None else text)
         target.chmod(0o755)
 
-    def run(self, *arguments: str, script: str = "test.sh", **variables: str) -> subprocess.CompletedProcess[str]:
+    def run(
+        self, *arguments: str, script: str = "test.sh", **variables: str
+    ) -> subprocess.CompletedProcess[str]:
         self.log.write_text("")
-        environment = {"PATH": str(self.bin), "HOME": str(self.root), "STUB_LOG": str(self.log), "STUB_SOURCE": str(self.source)}
+        environment = {
+            "PATH": str(self.bin),
+            "HOME": str(self.root),
+            "STUB_LOG": str(self.log),
+            "STUB_SOURCE": str(self.source),
+        }
         return subprocess.run(
             [str(self.bin / "bash"), str(self.root / script), *arguments],
             cwd=self.bin,
@@ -112,7 +137,9 @@ def test_first_run_installs_the_pins_and_the_second_does_not(setup):
     assert calls[-1] == "-m pytest -k x"
     assert setup.run("-k", "x").stderr == ""
     assert not [call for call in setup.calls() if "install" in call or "venv" in call]
-    (setup.root / "environment.yml").write_text((setup.root / "environment.yml").read_text().replace("==1.17.1", "==1.17.2"))
+    (setup.root / "environment.yml").write_text(
+        (setup.root / "environment.yml").read_text().replace("==1.17.1", "==1.17.2")
+    )
     assert setup.run("-k", "x").returncode == 0
     assert [call for call in setup.calls() if "pip install -r" in call], "a changed pin installs again"
     assert not [call for call in setup.calls() if call.startswith("-m venv")], "into the same environment"
@@ -123,14 +150,22 @@ def test_runs_pytest_and_nbval_and_passes_a_failure_on(setup):
     assert setup.run(script=".ci/run").returncode == 0
     assert setup.calls()[-2:] == ["-m pytest tests", "-m pytest --nbval --nbval-current-env notebooks"]
     assert setup.run(script=".ci/run", STUB_PYTEST="5").returncode == 5
-    assert len([call for call in setup.calls() if "pytest" in call]) == 2, "the notebooks are checked all the same"
+    assert len([call for call in setup.calls() if "pytest" in call]) == 2, (
+        "the notebooks are checked all the same"
+    )
 
 
 @pytest.mark.parametrize(
     "variables, words",
     [
-        ({"STUB_NO_VENV": "1"}, ["cannot make a virtual environment", "apt install python3.11-venv", "conda env create"]),
-        ({"STUB_NO_NETWORK": "1"}, ["could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution"]),
+        (
+            {"STUB_NO_VENV": "1"},
+            ["cannot make a virtual environment", "apt install python3.11-venv", "conda env create"],
+        ),
+        (
+            {"STUB_NO_NETWORK": "1"},
+            ["could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution"],
+        ),
     ],
 )
 def test_hints_instead_of_traces(setup, variables, words):

@@ -81,13 +81,17 @@ def test_volumes_against_closed_forms():
     }
     for name, volume in expected.items():
         mesh = make_shape(name)
-        assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(volume, rel=2e-3)
+        assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(
+            volume, rel=2e-3
+        )
 
 
 @pytest.mark.parametrize("name, rim", BOWL_RIMS.items())
 def test_bowls_open_at_the_top_with_the_measured_rim(name, rim):
     mesh = make_shape(name)
-    edges, counts = np.unique(np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0, return_counts=True)
+    edges, counts = np.unique(
+        np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0, return_counts=True
+    )
     boundary = mesh.vertices[edges[counts == 1].reshape(-1)]
     assert (boundary[:, 2] > 0.8).all()
     assert np.hypot(boundary[:, 0], boundary[:, 1]).mean() == pytest.approx(rim, abs=0.03)

@@ -49,7 +49,9 @@ def test_initial_triangles_are_equilateral_on_distinct_points_with_a_quarter_of_
     np.fill_diagonal(between, np.inf)
     radius = 0.25 * between.min(1).mean()
     np.testing.assert_allclose(np.linalg.norm(corners - centres[:, None], axis=-1), radius, rtol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1), np.sqrt(3) * radius, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1), np.sqrt(3) * radius, rtol=1e-5
+    )
 
     # The first two thirds are farthest points, from the first on.
     wanted = farthest_points(points, 60, chosen[0])
@@ -134,7 +136,9 @@ def test_select_carries_everything_along_and_copies(stored):
         chosen.vertices.zero_()
     assert soup.vertices.any(dim=-1).all()
     moved = soup.select(wanted, torch.ones(3, 3, 3))
-    assert torch.equal(moved.vertices, torch.ones(3, 3, 3)) and torch.equal(moved.opacity, soup.opacity[wanted])
+    assert torch.equal(moved.vertices, torch.ones(3, 3, 3)) and torch.equal(
+        moved.opacity, soup.opacity[wanted]
+    )
 
 
 @pytest.mark.parametrize("cut", [0, 10, 0.5, -20])

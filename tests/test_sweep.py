@@ -17,14 +17,14 @@ from distributed import LocalCluster
 from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
-from paper_artifact.record.record import find_records, record_path
+from paper_artifact.record.store import find_records, record_path
 from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.study import studies
 from paper_artifact.study import sweep as sweep_module
 from paper_artifact.study.studies import STUDIES, study_configs
 from paper_artifact.study.sweep import Estimate, Outcome, complete, missing, sweep
 from paper_artifact.study.worker import config_from
-from paper_artifact.train.run import with_condition
+from paper_artifact.pipeline import with_condition
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
 
 # --- the tables ----------------------------------------------------------------------------------------------------------------
@@ -40,9 +40,15 @@ def table(configs) -> Counter:
 
 
 def test_table1_is_the_papers():
-    expected = {(shape, condition): 5 for shape in ("sphere", "torus") for condition in ("C0", "C1", "C2", "C2g", "C3", "C6")}
+    expected = {
+        (shape, condition): 5
+        for shape in ("sphere", "torus")
+        for condition in ("C0", "C1", "C2", "C2g", "C3", "C6")
+    }
     expected |= {(shape, condition): 3 for shape in ("sphere", "torus") for condition in ("C7", "C7h")}
-    expected |= {(shape, condition): 3 for shape in ("cube", "two_spheres") for condition in ("C0", "C1", "C2")}
+    expected |= {
+        (shape, condition): 3 for shape in ("cube", "two_spheres") for condition in ("C0", "C1", "C2")
+    }
     expected |= {("double_torus", condition): 5 for condition in ("C0", "C1", "C2")}
     assert table(study_configs("table1")) == expected
 
@@ -51,7 +57,9 @@ def test_table1_is_the_papers():
 def test_every_run_of_a_study_has_a_record_of_its_own_and_survives_json(name, runs):
     configs = study_configs(name)
     assert len(configs) == runs == sum(table(configs).values())
-    configs = [with_condition(config, None) for config in configs]  # the mesh does not matter to the parameters
+    configs = [
+        with_condition(config, None) for config in configs
+    ]  # the mesh does not matter to the parameters
     assert len({record_path(config).name for config in configs}) == runs
     for config in configs:
         back = config_from(json.loads(json.dumps(asdict(config))))
@@ -77,7 +85,10 @@ def test_a_study_cut_short_leaves_whole_seeds():
 
 
 def test_restrictions():
-    assert table(study_configs("table1", ["torus"], ["C1", "C7"], [0, 1])) == {("torus", "C1"): 2, ("torus", "C7"): 2}
+    assert table(study_configs("table1", ["torus"], ["C1", "C7"], [0, 1])) == {
+        ("torus", "C1"): 2,
+        ("torus", "C7"): 2,
+    }
     assert table(study_configs("table1", [], None, [0])).total() == 25
     assert [config.seed for config in study_configs("table1", ["cube"], ["C2"])] == [0, 1, 2]
 
@@ -156,7 +167,9 @@ def test_a_failing_run_is_told_and_the_others_are_done(swept):
     assert all(record["dumps"] and record["resumed_at"] is None for record in records)
     assert not list((results / "checkpoints").iterdir())
     assert [ended for _, ended, _ in reports] == [0, 1, 2, 3] and {total for _, _, total in reports} == {3}
-    assert reports[0][0].startswith("0 of 3 recorded") and sum("FAILED" in text for text, _, _ in reports) == 1
+    assert (
+        reports[0][0].startswith("0 of 3 recorded") and sum("FAILED" in text for text, _, _ in reports) == 1
+    )
     assert reports[-1][0].endswith("about 0 min left")
 
 
@@ -168,8 +181,12 @@ def test_what_is_recorded_is_not_run_again(swept, monkeypatch, capsys):
     assert sweep(list(CONFIGS), results, report=lambda *arguments: reports.append(arguments)) == []
     assert {path: path.stat().st_mtime_ns for path in (results / "runs").iterdir()} == times
     assert reports == [("2 of 2 recorded; about 0 min left", 0, 0)]
-    monkeypatch.setattr(studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed))
-    assert cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--seed=0", f"--results={results}"]) == 0
+    monkeypatch.setattr(
+        studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
+    )
+    assert (
+        cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--seed=0", f"--results={results}"]) == 0
+    )
     assert "0 runs done, 1 were recorded before, 0 failed" in capsys.readouterr().out
     assert cli.main(["sweep", "baseline", "--shape=sphere", "--list", f"--results={results}"]) == 0
     assert capsys.readouterr().out.splitlines() == ["missing: sphere C0 seed 2", "2 of 3 runs recorded"]
@@ -184,8 +201,13 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
         yield from (Outcome(config, 1.0, f"no luck with {config.seed}") for config in todo)
 
     monkeypatch.setattr(sweep_module, "run_processes", fail)
-    monkeypatch.setattr(studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed))
-    assert cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"]) == 1
+    monkeypatch.setattr(
+        studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
+    )
+    assert (
+        cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"])
+        == 1
+    )
     assert capsys.readouterr().out.splitlines() == [
         "0 runs done, 2 were recorded before, 1 failed",
         "  sphere C0 seed 2: no luck with 2",
@@ -207,7 +229,10 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
         os.killpg(process.pid, signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
     wait_for_end(marker.pid)
-    assert missing(complete(list(CONFIGS)), results) == list(CONFIGS) and len(list((results / "checkpoints").iterdir())) == 1
+    assert (
+        missing(complete(list(CONFIGS)), results) == list(CONFIGS)
+        and len(list((results / "checkpoints").iterdir())) == 1
+    )
     (outcome,) = sweep([CONFIGS[0]], results)
     assert outcome.failure is None
     (record,), expected = find_records(results / "runs"), find_records(swept[0] / "runs", seed=0)[0]
@@ -261,7 +286,9 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
     monkeypatch.setattr(sweep_module, "missing", lambda configs, results: configs)
     with pytest.raises(KeyboardInterrupt):
         sweep([replace(CONFIGS[0], seed=seed) for seed in range(5)], REPOSITORY, workers=2, report=interrupt)
-    assert children and all(child.returncode in (0, -signal.SIGTERM) for child in children) and len(children) < 5
+    assert (
+        children and all(child.returncode in (0, -signal.SIGTERM) for child in children) and len(children) < 5
+    )
 
 
 @pytest.mark.parametrize(
@@ -301,7 +328,9 @@ def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, mo
 
         killer = threading.Thread(target=kill, daemon=True)
         killer.start()
-        outcomes, reports = sweep_with_a_vanishing_mesh(tmp_path / "results", scheduler=cluster.scheduler_address)
+        outcomes, reports = sweep_with_a_vanishing_mesh(
+            tmp_path / "results", scheduler=cluster.scheduler_address
+        )
         killer.join()
         assert marker.parent in workers, "the run was a child of a worker"
         wait_for_end(marker.pid)  # nothing goes on with work that nobody waits for

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.topology.circumradius import circumradius
+from paper_artifact.alpha.circumradius import circumradius
 
 
 def readable(corners: torch.Tensor) -> torch.Tensor:
@@ -20,7 +20,9 @@ def readable(corners: torch.Tensor) -> torch.Tensor:
 
 @pytest.mark.parametrize("corners", [2, 3, 4])
 def test_values_and_gradients_equal_the_readable_twin(corners):
-    points = torch.tensor(np.random.default_rng(corners).standard_normal((200, corners, 3)), requires_grad=True)
+    points = torch.tensor(
+        np.random.default_rng(corners).standard_normal((200, corners, 3)), requires_grad=True
+    )
     fast, slow = circumradius(points), readable(points)
     torch.testing.assert_close(fast, slow, rtol=1e-8, atol=0)
     weights = torch.linspace(0.5, 2, 200, dtype=torch.float64) / slow.detach()
@@ -52,7 +54,9 @@ def test_far_from_the_origin_keeps_nine_digits():
 
 def test_flat_simplices_have_radius_inf_and_gradient_zero():
     line = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]], dtype=torch.float64, requires_grad=True)
-    plane = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 4, 0]]], dtype=torch.float64, requires_grad=True)
+    plane = torch.tensor(
+        [[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 4, 0]]], dtype=torch.float64, requires_grad=True
+    )
     point_twice = torch.zeros((1, 2, 3), dtype=torch.float64, requires_grad=True)
     for corners, expected in ((line, np.inf), (plane, np.inf), (point_twice, 0.0)):
         radius = circumradius(corners)
@@ -62,6 +66,11 @@ def test_flat_simplices_have_radius_inf_and_gradient_zero():
 
 
 def test_bad_shapes_and_integers_are_refused():
-    for bad in (torch.zeros((3, 3)), torch.zeros((1, 5, 3)), torch.zeros((1, 3, 2)), torch.zeros((1, 3, 3), dtype=torch.int64)):
+    for bad in (
+        torch.zeros((3, 3)),
+        torch.zeros((1, 5, 3)),
+        torch.zeros((1, 3, 2)),
+        torch.zeros((1, 3, 3), dtype=torch.int64),
+    ):
         with pytest.raises(InputError, match="corners must be"):
             circumradius(bad)

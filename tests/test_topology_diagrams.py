@@ -8,7 +8,7 @@ import torch
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology import alpha_diagrams, alpha_persistence
+from paper_artifact.alpha import alpha_diagrams, alpha_persistence
 
 
 def cloud(count: int = 40, seed: int = 0) -> torch.Tensor:
@@ -18,13 +18,17 @@ def cloud(count: int = 40, seed: int = 0) -> torch.Tensor:
 def test_the_bars_are_those_of_alpha_persistence():
     points = cloud(300)
     for diagram, pairs in zip(alpha_diagrams(points), alpha_persistence(points.numpy()), strict=True):
-        np.testing.assert_allclose(diagram.bars.numpy(), np.column_stack([pairs.births, pairs.deaths]), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            diagram.bars.numpy(), np.column_stack([pairs.births, pairs.deaths]), rtol=1e-9, atol=1e-12
+        )
         assert len(diagram) == len(pairs.births) and bool(diagram.gabriel.all())
 
 
 def test_gradients_are_those_of_finite_differences():
     points = cloud().requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: tuple(each.bars for each in alpha_diagrams(p)), (points,), eps=1e-7, atol=1e-5)
+    assert torch.autograd.gradcheck(
+        lambda p: tuple(each.bars for each in alpha_diagrams(p)), (points,), eps=1e-7, atol=1e-5
+    )
 
 
 def test_scaling_the_points_scales_the_bars():
@@ -40,7 +44,11 @@ def test_single_precision_in_single_precision_out():
     loops = alpha_diagrams(points)[1].bars
     assert loops.dtype == torch.float32
     (loops[:, 1] - loops[:, 0]).square().sum().backward()
-    assert points.grad.dtype == torch.float32 and bool(points.grad.isfinite().all()) and bool((points.grad != 0).any())
+    assert (
+        points.grad.dtype == torch.float32
+        and bool(points.grad.isfinite().all())
+        and bool((points.grad != 0).any())
+    )
 
 
 def test_a_lattice_gives_finite_gradients():
@@ -52,7 +60,9 @@ def test_a_lattice_gives_finite_gradients():
     assert bool(points.grad.isfinite().all())
     reference = alpha_persistence(points.detach().numpy(), method="gudhi")
     for diagram, pairs in zip(diagrams, reference, strict=True):
-        np.testing.assert_allclose(np.sort(diagram.bars.detach().numpy()[:, 1]), np.sort(pairs.deaths), atol=1e-9)
+        np.testing.assert_allclose(
+            np.sort(diagram.bars.detach().numpy()[:, 1]), np.sort(pairs.deaths), atol=1e-9
+        )
 
 
 def test_few_points_and_bad_ones():

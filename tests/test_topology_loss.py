@@ -9,12 +9,18 @@ import pytest
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.topology.bundle import Bundle, build_bundle, build_from_mesh, bundle_from_json, load_bundle
+from paper_artifact.topology.bundle import (
+    Bundle,
+    build_bundle,
+    build_from_mesh,
+    bundle_from_json,
+    load_bundle,
+)
 from paper_artifact.topology.curvature import pair_weights
 from paper_artifact.topology.floor import measurement_floor, median_spacing, significant, uniform_spacing
-from paper_artifact.topology.gabriel import coface_of_value, passes_gate
+from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
 from paper_artifact.topology.loss import TopologyLoss
-from paper_artifact.topology.persistence import alpha_persistence
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.topology.plan import Plan, PlanOptions, Term, build_plan
 
 
@@ -23,10 +29,14 @@ def sphere(seed: int, count: int = 400) -> np.ndarray:
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def handmade_bundle(target: list, dimension: int, samples: int, floor: float = 0.05, diagonal: float = 1.0) -> Bundle:
+def handmade_bundle(
+    target: list, dimension: int, samples: int, floor: float = 0.05, diagonal: float = 1.0
+) -> Bundle:
     bars = [np.zeros((0, 2))] * 3
     bars[dimension] = np.array(target, dtype=np.float64).reshape(-1, 2)
-    return Bundle(tuple(bars), (dimension,), ("", "", ""), samples, 0, floor, 6.0, diagonal, "handmade", "sha256:")
+    return Bundle(
+        tuple(bars), (dimension,), ("", "", ""), samples, 0, floor, 6.0, diagonal, "handmade", "sha256:"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +51,12 @@ def test_bundle_of_a_sphere_is_its_void(void):
     bundle, _ = void
     assert bundle.dimensions == (2,)
     assert [len(bars) for bars in bundle.bars] == [0, 0, 1]
-    assert bundle.bars[2][0, 1] == pytest.approx(1 / (2 * 3**0.5), rel=0.05)  # death at the centre: radius 1 over the diagonal
-    assert bundle.reasons[2].startswith("matched: 1 significant") and bundle.reasons[1].startswith("not acted on")
+    assert bundle.bars[2][0, 1] == pytest.approx(
+        1 / (2 * 3**0.5), rel=0.05
+    )  # death at the centre: radius 1 over the diagonal
+    assert bundle.reasons[2].startswith("matched: 1 significant") and bundle.reasons[1].startswith(
+        "not acted on"
+    )
     assert bundle.floor == measurement_floor(sphere(0), 2 * 3**0.5)
 
 
@@ -75,7 +89,9 @@ def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
                 moved = live.copy()
                 moved[index, axis] += shift
                 values.append(TopologyLoss(bundle)(torch.tensor(moved)).item())
-            assert (values[0] - values[1]) / 2e-6 == pytest.approx(points.grad[index, axis].item(), rel=1e-4, abs=1e-8)
+            assert (values[0] - values[1]) / 2e-6 == pytest.approx(
+                points.grad[index, axis].item(), rel=1e-4, abs=1e-8
+            )
 
 
 def test_plan_value_gradcheck_with_every_kind_of_term():
@@ -120,7 +136,9 @@ def test_lemma_1():
     pulls = []
     for second in (0.8, 1.1):
         points = torch.tensor(far, requires_grad=True)
-        TopologyLoss(handmade_bundle([[0.0, 2.0], [0.0, second]], 0, 120, floor=0.7), recruitment=False)(points).backward()
+        TopologyLoss(handmade_bundle([[0.0, 2.0], [0.0, second]], 0, 120, floor=0.7), recruitment=False)(
+            points
+        ).backward()
         pulls.append(points.grad)
     assert pulls[0].any() and torch.equal(pulls[0], pulls[1])
 
@@ -129,7 +147,9 @@ def test_recruited_bars_leave_the_diagonal_term():
     generator = np.random.default_rng(1)
     clumps = [generator.random((20, 3)) * 0.2 + [x, 0, 0] for x in (0.0, 1.0, 2.2)]
     cloud = np.vstack(clumps)
-    bundle = handmade_bundle([[0.0, 3.0]], 0, 60, floor=0.3)  # so persistent that leaving both at the diagonal is not cheaper
+    bundle = handmade_bundle(
+        [[0.0, 3.0]], 0, 60, floor=0.3
+    )  # so persistent that leaving both at the diagonal is not cheaper
     with_term = build_plan(cloud, bundle, PlanOptions(recruitment=True)).report["dimensions"]["0"]
     without = build_plan(cloud, bundle, PlanOptions(recruitment=False)).report["dimensions"]["0"]
     assert without["significant"] == with_term["significant"] == 2
@@ -146,7 +166,12 @@ def test_frozen_plan_follows_live_points_until_the_next_refresh(void):
     for _ in range(7):
         loss(points)
         plans.append(loss.plan)
-    assert plans[0] is plans[2] and plans[2] is not plans[3] and plans[3] is plans[5] and plans[6] is not plans[5]
+    assert (
+        plans[0] is plans[2]
+        and plans[2] is not plans[3]
+        and plans[3] is plans[5]
+        and plans[6] is not plans[5]
+    )
     scaled = loss(points * 1.1).item()
     bar = 1.1 * np.array(plans[6].report["dimensions"]["2"]["targets"][0]["live"])
     assert scaled == pytest.approx(((bar - bundle.bars[2][0]) ** 2).sum(), rel=1e-9)
@@ -199,7 +224,8 @@ def non_gabriel(monkeypatch):
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
     monkeypatch.setattr(
-        "paper_artifact.topology.persistence.alpha_persistence", lambda points, method="fast": (None, pairs, None)
+        "paper_artifact.alpha.persistence.alpha_persistence",
+        lambda points, method="fast": (None, pairs, None),
     )
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 

@@ -66,7 +66,9 @@ def test_bars_far_from_every_target_go_to_the_diagonal():
 
 def test_recruitment_is_greedy_by_decreasing_persistence_without_replacement():
     pool = np.array([[0.0, 0.30], [0.0, 0.10]])
-    missing = np.array([[0.0, 0.25], [0.0, 0.50]])  # the second, more persistent, chooses first and takes the bar at .30
+    missing = np.array(
+        [[0.0, 0.25], [0.0, 0.50]]
+    )  # the second, more persistent, chooses first and takes the bar at .30
     assert recruit(pool, missing) == [(0, 1), (1, 0)]
     # Greedy, not optimal: .50 takes .48 and leaves .60 for .45 (.0229 in all); the other way round costs .0109.
     pool, missing = np.array([[0.0, 0.60], [0.0, 0.48]]), np.array([[0.0, 0.45], [0.0, 0.50]])

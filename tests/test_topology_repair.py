@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from paper_artifact.errors import InputError
-from paper_artifact.topology.repair import make_probe, repair
+from paper_artifact.study.repair import make_probe, repair
 
 
-@pytest.mark.parametrize("name, dimension, significant", [("T1", 2, 1), ("T2", 1, 1), ("T3", 0, 1), ("T4", 0, 0)])
+@pytest.mark.parametrize(
+    "name, dimension, significant", [("T1", 2, 1), ("T2", 1, 1), ("T3", 0, 1), ("T4", 0, 0)]
+)
 def test_probes_start_defective(name, dimension, significant):
     probe = make_probe(name)
     assert probe.dimension == dimension and len(probe.start) == len(probe.target) == probe.bundle.samples
     assert len(probe.bundle.bars[dimension]) == (0 if name == "T2" else 1)
     start = repair(probe, steps=0)
     assert start.significant.tolist() == [significant] and start.bottleneck[0] > 0.035
-    assert np.array_equal(make_probe(name).start, probe.start) and not np.array_equal(make_probe(name, 1).start, probe.start)
+    assert np.array_equal(make_probe(name).start, probe.start) and not np.array_equal(
+        make_probe(name, 1).start, probe.start
+    )
 
 
 @pytest.mark.parametrize("name, factor", [("T1", 8.8), ("T2", np.inf), ("T3", 1229), ("T4", 450)])

@@ -12,7 +12,7 @@ import torch
 
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle, build_bundle
-from paper_artifact.topology.conditions import CONDITIONS, get_condition
+from paper_artifact.catalogue import CONDITIONS, get_condition
 from paper_artifact.topology.controls import neighbour_pairs, repulsion
 from paper_artifact.topology.plan import Plan, Term
 from paper_artifact.topology.samples import draw_samples, samples_stream
@@ -42,7 +42,9 @@ def octahedron_soup(refinements: int = 2) -> np.ndarray:
 @pytest.fixture(scope="module")
 def bundle():
     samples = draw_samples(octahedron_soup(), None, M, samples_stream(9, 0))
-    return build_bundle(samples.positions(torch.tensor(octahedron_soup())).numpy(), 2 * 3**0.5, shape="sphere")
+    return build_bundle(
+        samples.positions(torch.tensor(octahedron_soup())).numpy(), 2 * 3**0.5, shape="sphere"
+    )
 
 
 def live_soup() -> torch.Tensor:
@@ -91,7 +93,9 @@ def test_bad_soups_are_refused():
 
 
 def test_ramp_and_calibration():
-    assert [ramp_factor(step, 2500, (0.2, 0.5)) for step in (0, 500, 875, 1250, 2499)] == pytest.approx([0, 0, 0.5, 1, 1])
+    assert [ramp_factor(step, 2500, (0.2, 0.5)) for step in (0, 500, 875, 1250, 2499)] == pytest.approx(
+        [0, 0, 0.5, 1, 1]
+    )
     assert ramp_factor(0, 2500, None) == 1
     assert peak_weight(0.1, 3.0, 0.5) == pytest.approx(0.6)
     for photo, topo in ((0.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.inf), (1e308, 1e-300)):
@@ -125,12 +129,25 @@ def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
     assert weight["step"] == 21 and term.lambda_peak == weight["lambda_peak"]
     assert weight["lambda_peak"] == pytest.approx(0.1 * 2.0 / weight["topo_norm"])
     report = term.log[0]["dimensions"]["2"]
-    assert set(report) == {"significant", "matched", "diagonal", "recruited", "unreached", "gabriel_failures", "targets"}
-    assert report["targets"][0]["target"] == bundle.bars[2][0].tolist() and report["targets"][0]["kind"] == "matched"
+    assert set(report) == {
+        "significant",
+        "matched",
+        "diagonal",
+        "recruited",
+        "unreached",
+        "gabriel_failures",
+        "targets",
+    }
+    assert (
+        report["targets"][0]["target"] == bundle.bars[2][0].tolist()
+        and report["targets"][0]["kind"] == "matched"
+    )
     assert report["matched"] == 1 and report["gabriel_failures"] == 0
     json.dumps(term.log, allow_nan=False)
     refreshes = [entry for entry in term.log if entry["event"] == "refresh"]
-    errors = [abs(entry["dimensions"]["2"]["targets"][0]["live"][1] - bundle.bars[2][0, 1]) for entry in refreshes]
+    errors = [
+        abs(entry["dimensions"]["2"]["targets"][0]["live"][1] - bundle.bars[2][0, 1]) for entry in refreshes
+    ]
     assert errors[-1] < errors[0]  # the pull works through the soup's vertices
 
 
@@ -223,7 +240,12 @@ def test_repulsion_gradient_and_cutoff():
     points = np.random.default_rng(0).random((40, 3))
     points[1] = points[0]  # no direction: no force
     pairs = neighbour_pairs(points, 0.3)
-    brute = [(i, j) for i in range(40) for j in range(i + 1, 40) if np.linalg.norm(points[i] - points[j]) < 1.25 * 0.3]
+    brute = [
+        (i, j)
+        for i in range(40)
+        for j in range(i + 1, 40)
+        if np.linalg.norm(points[i] - points[j]) < 1.25 * 0.3
+    ]
     assert [tuple(pair) for pair in pairs] == brute
     energy = sum(max(0.0, 1 - np.linalg.norm(points[i] - points[j]) / 0.3) ** 2 for i, j in brute) / 40
     assert repulsion(torch.tensor(points), pairs, 0.3).item() == pytest.approx(energy, rel=1e-12)
@@ -261,10 +283,17 @@ def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch
 
 def test_package_is_importable_alone():
     code = (
-        "import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.topology.repair, "
-        "paper_artifact.topology.persistence\n"
+        "import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.study.repair, "
+        "paper_artifact.alpha.persistence\n"
         "parts = {name.split('.')[1] for name in sys.modules if name.startswith('paper_artifact.')}\n"
         "print(','.join(sorted(parts)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.strip().split(",")) <= {"errors", "files", "randomness", "sampling", "mesh", "topology"}
+    assert set(done.stdout.strip().split(",")) <= {
+        "errors",
+        "files",
+        "randomness",
+        "sampling",
+        "mesh",
+        "topology",
+    }

@@ -22,14 +22,14 @@ from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import REPOSITORY
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
-from paper_artifact.record.record import find_records
+from paper_artifact.record.store import find_records
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
 from paper_artifact.train.checkpoint import read_checkpoint
 from paper_artifact.train.loop import TrainingError, TrainResult, batch_views, train
-from paper_artifact.train.run import render_views, run
+from paper_artifact.pipeline import render_views, run
 from tests.tiny_run import STEPS, tiny_arguments, tiny_config
 
 RESAMPLED = [10, 20, 30, 40, 50]
@@ -49,7 +49,11 @@ def same_bits(first: TrainResult, second: TrainResult) -> bool:
 
 
 def dump(soup, step: int) -> dict:
-    return {"step": step, "triangles": len(soup), "area": float(soup.vertices.detach().double().square().sum())}
+    return {
+        "step": step,
+        "triangles": len(soup),
+        "area": float(soup.vertices.detach().double().square().sum()),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +65,9 @@ def test_it_learns(trained, tiny_scene):
     assert len(trained.losses) == STEPS and np.mean(trained.losses[-5:]) < 0.75 * np.mean(trained.losses[:5])
 
     def holdout_psnr(soup):
-        return image_scores(render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.images[tiny_scene.holdout])["psnr"]
+        return image_scores(
+            render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.images[tiny_scene.holdout]
+        )["psnr"]
 
     assert holdout_psnr(trained.soup) > holdout_psnr(initial_soup(tiny_scene.points, 600, 0)) + 1.5
 
@@ -74,7 +80,10 @@ def test_history_of_a_run(trained):
     for one, following in zip(trained.resamplings, trained.resamplings[1:]):
         assert one["after"] >= one["pruned"] == 200 and following["before"] == one["after"]
     assert len(trained.soup) == trained.resamplings[-1]["after"] == trained.dumps[-1]["triangles"]
-    assert set(trained.seconds) == {"photometric", "optimiser", "resample", "evaluate"} and trained.resumed_at is None
+    assert (
+        set(trained.seconds) == {"photometric", "optimiser", "resample", "evaluate"}
+        and trained.resumed_at is None
+    )
 
 
 def test_torch_itself_trains_on_one_thread(tiny_scene):
@@ -82,7 +91,12 @@ def test_torch_itself_trains_on_one_thread(tiny_scene):
     inside, before = [], torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        train(tiny_scene, tiny_config(steps=2), device="cpu", progress=lambda step, text: inside.append(torch.get_num_threads()))
+        train(
+            tiny_scene,
+            tiny_config(steps=2),
+            device="cpu",
+            progress=lambda step, text: inside.append(torch.get_num_threads()),
+        )
         assert inside == [1, 1] and torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
@@ -109,22 +123,30 @@ def test_evaluation_and_progress_change_no_bit_and_another_seed_does(trained, ti
 
 
 def test_a_given_resampler_is_used(tiny_scene):
-    result = train(tiny_scene, tiny_config(steps=12), device="cpu", resampler=Resampler(50, interval=5, split_until=0.0))
-    assert [(entry["step"], entry["after"]) for entry in result.resamplings] == [(5, 50), (10, 50)] and len(result.soup) == 50
+    result = train(
+        tiny_scene, tiny_config(steps=12), device="cpu", resampler=Resampler(50, interval=5, split_until=0.0)
+    )
+    assert [(entry["step"], entry["after"]) for entry in result.resamplings] == [(5, 50), (10, 50)] and len(
+        result.soup
+    ) == 50
 
 
 @pytest.mark.parametrize("count, batch", [(7, 4), (42, 4), (5, 5), (3, 8)])
 def test_batches_are_permutations_redrawn_each_epoch(count, batch):
     train_views = np.arange(count) * 3
     per_epoch = -(-count // batch)
-    epochs = [[batch_views(train_views, batch, 0, epoch * per_epoch + k + 1) for k in range(per_epoch)] for epoch in range(4)]
+    epochs = [
+        [batch_views(train_views, batch, 0, epoch * per_epoch + k + 1) for k in range(per_epoch)]
+        for epoch in range(4)
+    ]
     for epoch in epochs:
         assert Counter(int(view) for views in epoch for view in views) == Counter(train_views.tolist())
         assert [len(views) for views in epoch[:-1]] == [batch] * (per_epoch - 1)
     assert len({tuple(np.concatenate(epoch)) for epoch in epochs}) > 1
     assert (
         not np.array_equal(
-            np.concatenate(epochs[0]), np.concatenate([batch_views(train_views, batch, 1, k + 1) for k in range(per_epoch)])
+            np.concatenate(epochs[0]),
+            np.concatenate([batch_views(train_views, batch, 1, k + 1) for k in range(per_epoch)]),
         )
         or count == 3
     )
@@ -144,14 +166,19 @@ class FakeTerm:
 
     def refresh_if_due(self, step, vertices, opacity, resampled):
         assert vertices.requires_grad and vertices.shape[1:] == (3, 3)
-        assert opacity.shape == vertices.shape[:2] and not opacity.requires_grad and 0 <= opacity.min() <= opacity.max() <= 1
+        assert (
+            opacity.shape == vertices.shape[:2]
+            and not opacity.requires_grad
+            and 0 <= opacity.min() <= opacity.max() <= 1
+        )
         self.calls.append((step, bool(resampled), len(vertices)))
         return False
 
     def value(self, step, vertices, photo_gradient_norm):
         assert step == self.calls[-1][0]
         assert (
-            photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5) and photo_gradient_norm() > 0
+            photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5)
+            and photo_gradient_norm() > 0
         )
         if step == self.stop_at:
             raise KeyboardInterrupt
@@ -181,7 +208,9 @@ def test_a_terms_gradient_moves_the_vertices(tiny_scene):
     config = tiny_config(steps=1)
     moved = train(tiny_scene, config, term=FakeTerm(), device="cpu").soup.vertices - start
     rate = config.vertex_lr * tiny_scene.radius * config.final_lr
-    expected = torch.tensor([rate, 0.0, 0.0]).expand_as(moved)  # beside 1e3 along x the photometric gradient is nothing
+    expected = torch.tensor([rate, 0.0, 0.0]).expand_as(
+        moved
+    )  # beside 1e3 along x the photometric gradient is nothing
     torch.testing.assert_close(moved, expected, rtol=1e-3, atol=1e-3 * rate)
     alone = train(tiny_scene, config, device="cpu").soup.vertices - start
     assert not torch.allclose(alone, expected, atol=0.1 * rate)
@@ -197,7 +226,11 @@ def test_a_terms_state_is_saved_and_restored(tiny_scene, tmp_path):
     resumed = FakeTerm(-1.0)
     result = train(tiny_scene, config, term=resumed, checkpoint=checkpoint, device="cpu")
     assert result.resumed_at == 20 and same_bits(expected, result)
-    assert resumed.calls[0][:2] == (20, True) and resumed.calls == whole.calls[20:] and resumed.total == whole.total
+    assert (
+        resumed.calls[0][:2] == (20, True)
+        and resumed.calls == whole.calls[20:]
+        and resumed.total == whole.total
+    )
 
 
 def test_without_a_term_none_of_its_code_is_imported(tiny_results):
@@ -211,7 +244,9 @@ scene = load_scene(next(Path({str(tiny_results)!r}).glob("scenes/*")))
 assert len(train(scene, tiny_config(steps=2), device="cpu").losses) == 2
 print(*sorted(name for name in sys.modules if name.startswith(("paper_artifact.topology", "gudhi"))))
 """
-    result = subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=600)
+    result = subprocess.run(
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=600
+    )
     assert (result.returncode, result.stdout.strip()) == (0, ""), result.stderr
 
 
@@ -268,7 +303,9 @@ def whole_runs(tiny_results, tmp_path_factory):
 
 
 @pytest.mark.parametrize("condition, where", [("C0", "write"), ("C1", "step")])
-def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whole_runs, tiny_results, tmp_path):
+def test_a_run_that_was_killed_goes_on_to_the_same_record(
+    condition, where, whole_runs, tiny_results, tmp_path
+):
     folder = tmp_path / "results"
     shutil.copytree(tiny_results, folder)
     killed = subprocess.run(
@@ -280,7 +317,9 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whol
     )
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not list((folder / "runs").iterdir())
-    (checkpoint,) = (folder / "checkpoints").glob("[!.]*.pt")  # a dot file is what the kill left of the one being written
+    (checkpoint,) = (folder / "checkpoints").glob(
+        "[!.]*.pt"
+    )  # a dot file is what the kill left of the one being written
     assert cli.main(arguments(condition, folder)) == 0
     assert not checkpoint.exists()
 
@@ -290,7 +329,11 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whol
     assert without_circumstances(record) == without_circumstances(expected)
     assert record["tails"]["steps"] == [20, 30, 60] and len(record["losses"]["loss"]) == STEPS
     if condition == "C1":
-        assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [13, 20, 30]
+        assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [
+            13,
+            20,
+            30,
+        ]
     (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
     assert first.name == second.name
     assert all(torch.equal(a, b) for a, b in zip(parts(load_soup(first)), parts(load_soup(second))))
@@ -298,7 +341,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(condition, where, whol
 
 def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
     folder, record = whole_runs["C0"]
-    monkeypatch.setattr("paper_artifact.train.run.train", None)  # calling it would fail
+    monkeypatch.setattr("paper_artifact.pipeline.train", None)  # calling it would fail
     assert run(tiny_config(), results=folder) == record
     assert cli.main([*tiny_arguments(), f"--results={folder}"]) == 0
     printed = capsys.readouterr().out
@@ -358,7 +401,9 @@ def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_pa
     assert cli.main([*tiny_arguments(), "--set=mlp_lr=1e30", f"--results={tmp_path / 'results'}"]) == 1
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1 and "the loss of step 2 is nan" in error
-    assert not list((tmp_path / "results" / "runs").iterdir()) and not (tmp_path / "results" / "soups").exists()
+    assert (
+        not list((tmp_path / "results" / "runs").iterdir()) and not (tmp_path / "results" / "soups").exists()
+    )
 
 
 def test_a_scene_without_training_views_is_refused(tiny_scene):
@@ -382,7 +427,10 @@ def test_the_twin_backend_gives_the_cpu_backends_step(trained, tiny_scene):
     views = batch_views(tiny_scene.train, 4, 0, 1)
     keys = [view_key(0, 1, int(view)) for view in views]
     results = []
-    for backend in (CpuBackend(tiny_scene, tiny_scene.train), TwinBackend(tiny_scene, tiny_scene.train, "cpu", torch.float64)):
+    for backend in (
+        CpuBackend(tiny_scene, tiny_scene.train),
+        TwinBackend(tiny_scene, tiny_scene.train, "cpu", torch.float64),
+    ):
         soup = backend.to_device(trained.soup.select(torch.arange(len(trained.soup))))
         for tensor in soup.mlp:
             tensor.grad = None

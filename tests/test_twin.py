@@ -45,7 +45,9 @@ def test_coverage_and_depth_agree_with_ray_casting():
     directions = -twin.view_directions(matrix, size, size).reshape(-1, 3).numpy()
     mesh = trimesh.Trimesh(vertices.reshape(-1, 3).numpy(), np.arange(180).reshape(-1, 3), process=False)
     caster = trimesh.ray.ray_triangle.RayMeshIntersector(mesh)
-    hits, ray, index = caster.intersects_location(np.tile(centre, (size * size, 1)), directions, multiple_hits=False)
+    hits, ray, index = caster.intersects_location(
+        np.tile(centre, (size * size, 1)), directions, multiple_hits=False
+    )
     expected, depth = np.zeros(size * size, int), np.zeros(size * size)
     expected[ray] = index + 1
     clip = np.c_[hits, np.ones(len(hits))] @ matrix[0].numpy().T
@@ -57,7 +59,9 @@ def test_coverage_and_depth_agree_with_ray_casting():
     assert np.allclose(raster.depth.reshape(-1).numpy()[same], depth[same], atol=1e-9)
     b0, b1 = raster.b0.reshape(-1).numpy()[ray], raster.b1.reshape(-1).numpy()[ray]
     corners = vertices.numpy()[index]
-    points = b0[:, None] * corners[:, 0] + b1[:, None] * corners[:, 1] + (1 - b0 - b1)[:, None] * corners[:, 2]
+    points = (
+        b0[:, None] * corners[:, 0] + b1[:, None] * corners[:, 1] + (1 - b0 - b1)[:, None] * corners[:, 2]
+    )
     assert np.allclose(points[same[ray]], hits[same[ray]], atol=1e-9)
 
 
@@ -84,7 +88,9 @@ def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent()
         )
     ):
         corner = case["opacity"][triangle]
-        assert alpha == pytest.approx(float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12)
+        assert alpha == pytest.approx(
+            float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12
+        )
         if alpha >= float(draws.draw(np.uint32(KEYS[view]), np.uint32(pixel), np.uint32(triangle))):
             survived += 1
             best[view, pixel] = min(best.get((view, pixel), (2.0, 0)), (depth, triangle + 1))
@@ -123,7 +129,9 @@ def test_spherical_harmonics_agree_with_scipy():
     for degree in range(3):
         for order in range(-degree, degree + 1):
             value = scipy.special.sph_harm_y(degree, abs(order), polar, azimuth)
-            expected.append(value.real if order == 0 else np.sqrt(2) * (value.real if order > 0 else value.imag))
+            expected.append(
+                value.real if order == 0 else np.sqrt(2) * (value.real if order > 0 else value.imag)
+            )
     ours = twin.spherical_harmonics(torch.from_numpy(directions)).numpy()
     assert np.allclose(ours, np.stack(expected, axis=1), atol=1e-12)
 
@@ -158,7 +166,9 @@ def test_shading_and_loss_gradients_agree_with_finite_differences():
         return twin.photometric_loss(twin.shade(features, weights, raster, matrices, background), target)
 
     assert torch.autograd.gradcheck(loss, inputs, fast_mode=True)
-    assert torch.autograd.gradcheck(lambda f, *m: twin.shade(f, m, raster, matrices, background), inputs, fast_mode=True)
+    assert torch.autograd.gradcheck(
+        lambda f, *m: twin.shade(f, m, raster, matrices, background), inputs, fast_mode=True
+    )
 
 
 def test_photometric_loss_agrees_with_a_plain_double_loop():
@@ -171,15 +181,22 @@ def test_photometric_loss_agrees_with_a_plain_double_loop():
     for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13)):
         for row in range(4):
             for column in range(3):
-                a, b = image[row : row + 11, column : column + 11], truth[row : row + 11, column : column + 11]
+                a, b = (
+                    image[row : row + 11, column : column + 11],
+                    truth[row : row + 11, column : column + 11],
+                )
                 ma, mb = (window * a).sum(), (window * b).sum()
                 va, vb = (window * (a - ma) ** 2).sum(), (window * (b - mb) ** 2).sum()
                 cov = (window * (a - ma) * (b - mb)).sum()
-                values.append((2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4)))
+                values.append(
+                    (2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4))
+                )
     expected = 0.8 * np.abs(colour - target).mean() + 0.1 * (1 - np.mean(values))
     ours = twin.photometric_loss(torch.from_numpy(colour), torch.from_numpy(target))
     assert float(ours) == pytest.approx(expected, abs=1e-12)
-    assert float(twin.photometric_loss(torch.from_numpy(colour), torch.from_numpy(colour))) == pytest.approx(0, abs=1e-12)
+    assert float(twin.photometric_loss(torch.from_numpy(colour), torch.from_numpy(colour))) == pytest.approx(
+        0, abs=1e-12
+    )
 
 
 def test_opacity_gradient_agrees_with_a_plain_loop_and_its_value_is_zero():
@@ -225,15 +242,23 @@ PALETTE = torch.tensor([[1.0, 1.0, 1.0], [0.2, 0.6, 0.1], [0.9, 0.1, 0.5]], dtyp
 
 def test_half_plane_moves_the_loss_by_colour_difference_times_edge_length_times_pixels_per_unit():
     size, distance, focal = 50, 4.0, 1.8
-    vertices = torch.tensor([[[0.313, -40.0, 0.0], [0.313, 40.0, 0.0], [-60.0, 0.0, 0.0]]], dtype=torch.float64)
-    weights = torch.tensor([0.7, -0.2, 1.1], dtype=torch.float64)[None, :, None, None].expand(1, 3, size, size)
-    gradient = edge_gradient_of(vertices, opaque(vertices), front_camera(distance, focal), PALETTE[:2], weights)
+    vertices = torch.tensor(
+        [[[0.313, -40.0, 0.0], [0.313, 40.0, 0.0], [-60.0, 0.0, 0.0]]], dtype=torch.float64
+    )
+    weights = torch.tensor([0.7, -0.2, 1.1], dtype=torch.float64)[None, :, None, None].expand(
+        1, 3, size, size
+    )
+    gradient = edge_gradient_of(
+        vertices, opaque(vertices), front_camera(distance, focal), PALETTE[:2], weights
+    )
     pixels_per_unit = focal / distance * size / 2
     difference = float((weights[0, :, 0, 0] * (PALETTE[1] - PALETTE[0])).sum())
     assert float(gradient[0, :, 0].sum()) == pytest.approx(difference * size * pixels_per_unit, rel=1e-9)
     assert float(gradient[0, :, 1].abs().sum()) == pytest.approx(0, abs=1e-9)
     # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 / distance per unit.
-    assert float(gradient[0, :, 2].sum()) == pytest.approx(-difference * size * pixels_per_unit * 0.313 / distance, rel=1e-9)
+    assert float(gradient[0, :, 2].sum()) == pytest.approx(
+        -difference * size * pixels_per_unit * 0.313 / distance, rel=1e-9
+    )
 
 
 FLOATING = [[-0.9, -0.8, -0.5], [0.8, -0.3, 0.1], [-0.1, 0.9, -0.2]]
@@ -269,7 +294,9 @@ def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> t
     low, high = (along_y - constant) / along_x, -(along_y + constant) / along_x
     assert max(abs(low.item()), abs(high.item())) < 1
     corner = -torch.ones_like(low)
-    return torch.stack([torch.stack(pair) for pair in ((corner, corner), (low, corner), (high, -corner), (corner, -corner))])
+    return torch.stack(
+        [torch.stack(pair) for pair in ((corner, corner), (low, corner), (high, -corner), (corner, -corner))]
+    )
 
 
 @pytest.mark.parametrize("edge", list(SCENES))
@@ -286,7 +313,9 @@ def test_vertex_gradients_agree_with_the_derivative_of_the_exact_integral(edge):
         opacity[0] = torch.tensor([0.1, 0.9, 0.75], dtype=torch.float64)
     centre = torch.arange(size, dtype=torch.float64) + 0.5
     slope = torch.tensor([[0.01, -0.004], [0.0, 0.02], [-0.013, 0.003]], dtype=torch.float64)
-    weights = 1 + slope[:, 0, None, None] * centre[None, None, :] + slope[:, 1, None, None] * centre[None, :, None]
+    weights = (
+        1 + slope[:, 0, None, None] * centre[None, None, :] + slope[:, 1, None, None] * centre[None, :, None]
+    )
     gradient = edge_gradient_of(vertices, opacity, matrix[None], PALETTE, weights[None])
 
     moved = vertices.clone().requires_grad_()
@@ -320,7 +349,9 @@ def test_colour_gradient_passes_through_the_edge_gradient_unchanged():
 def test_empty_soup_and_empty_view_give_background_and_zero_gradients():
     vertices = torch.zeros(0, 3, 3, dtype=torch.float64, requires_grad=True)
     matrices = cameras(9, 2)
-    raster = twin.rasterize(vertices.detach(), torch.zeros(0, 3, dtype=torch.float64), matrices, 12, 12, KEYS[:2])
+    raster = twin.rasterize(
+        vertices.detach(), torch.zeros(0, 3, dtype=torch.float64), matrices, 12, 12, KEYS[:2]
+    )
     assert not raster.triangle.any()
     background = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
     image = twin.shade(torch.zeros(0, 3, 7, dtype=torch.float64), mlp(0), raster, matrices, background)

@@ -46,7 +46,9 @@ def trial(seed: int, steps: int = 12) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(3))
 def test_agrees_with_numpy(seed):
     start, gradients = trial(seed)
-    np.testing.assert_allclose(descend(VectorAdam, start, gradients), reference(start, gradients), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(
+        descend(VectorAdam, start, gradients), reference(start, gradients), rtol=1e-12, atol=1e-14
+    )
 
 
 @settings(max_examples=30, deadline=None)
@@ -55,14 +57,18 @@ def test_commutes_with_rotations(seed):
     start, gradients = trial(seed)
     rotation = Rotation.random(rng=stream(seed, "rotation")).as_matrix()
     straight = descend(VectorAdam, start, gradients) @ rotation.T
-    np.testing.assert_allclose(descend(VectorAdam, start @ rotation.T, gradients @ rotation.T), straight, atol=1e-10)
+    np.testing.assert_allclose(
+        descend(VectorAdam, start @ rotation.T, gradients @ rotation.T), straight, atol=1e-10
+    )
 
 
 def test_adam_does_not_commute_with_rotations():
     start, gradients = trial(0)
     rotation = Rotation.from_rotvec((0.3, -0.7, 0.5)).as_matrix()
     straight = descend(torch.optim.Adam, start, gradients) @ rotation.T
-    assert np.abs(descend(torch.optim.Adam, start @ rotation.T, gradients @ rotation.T) - straight).max() > 0.01
+    assert (
+        np.abs(descend(torch.optim.Adam, start @ rotation.T, gradients @ rotation.T) - straight).max() > 0.01
+    )
 
 
 def test_the_first_step_is_lr_long_whatever_the_gradient_and_along_it():
@@ -91,7 +97,9 @@ def test_the_schedule_sets_the_rate_of_each_step_and_keeps_the_moments():
         parameter.grad = torch.tensor(gradient)
         previous = parameter.detach().numpy().copy()
         optimizer.step()
-        np.testing.assert_allclose(parameter.detach().numpy() - previous, rate * (whole[step] - before), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            parameter.detach().numpy() - previous, rate * (whole[step] - before), rtol=1e-9, atol=1e-12
+        )
         before = whole[step]
 
 

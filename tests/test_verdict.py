@@ -26,7 +26,12 @@ PER_SEED = {
     "armadillo": ("pass", (0.0511,) * 3, (0.0124, 0.0125, 0.0123), (0.0511,) * 3),
     "horse": ("pass", (0.0408,) * 3, (0.0124, 0.0083, 0.0118), (0.0408,) * 3),
     "cube": ("pass", (0.0560, 0.0551, 0.0636), (0.0071, 0.0064, 0.0086), (0.1346,) * 3),
-    "two_spheres": ("tied by control", (0.0060, 0.0074, 0.0062), (0.0007, 0.0009, 0.0005), (0.0009, 0.0009, 0.0006)),
+    "two_spheres": (
+        "tied by control",
+        (0.0060, 0.0074, 0.0062),
+        (0.0007, 0.0009, 0.0005),
+        (0.0009, 0.0009, 0.0006),
+    ),
     "bowl_narrow": ("pass", (0.0619, 0.0550, 0.0593), (0.0137, 0.0126, 0.0151), (0.1249,) * 3),
     "bowl_wide": ("pass", (0.0448, 0.0602, 0.0630), (0.0141, 0.0136, 0.0135), (0.0770,) * 3),
     "double_torus": ("saturated", (0.0264,) * 5, (0.0264,) * 5, (0.0264,) * 5),
@@ -48,15 +53,28 @@ def per_seed_rows() -> list[dict]:
 
 def test_published_per_seed_values_give_the_papers_verdicts():
     judged = verdict(per_seed_rows())
-    assert {shape: each.outcome for shape, each in judged.items()} == {shape: values[0] for shape, values in PER_SEED.items()}
-    assert sum(judged[shape].passed for shape in list(PER_SEED)[:8]) == 7  # seven of the eight external meshes
+    assert {shape: each.outcome for shape, each in judged.items()} == {
+        shape: values[0] for shape, values in PER_SEED.items()
+    }
+    assert (
+        sum(judged[shape].passed for shape in list(PER_SEED)[:8]) == 7
+    )  # seven of the eight external meshes
     assert not judged["rocker-arm"].below["C0"] and not judged["two_spheres"].disjoint["C2"]
 
 
 def test_published_means_ratios_and_groups_are_reproduced():
     judged = verdict(per_seed_rows())
-    assert arm_text(judged["bob"].arms["C1"].mean, judged["bob"].arms["C1"].sd, judged["bob"].ratio) == ".0208±.0008 (2.05×)"
-    for shape, ratio in (("fandisk", 10.4), ("armadillo", 4.1), ("rocker-arm", 0.96), ("cube", 7.9), ("bowl_wide", 4.1)):
+    assert (
+        arm_text(judged["bob"].arms["C1"].mean, judged["bob"].arms["C1"].sd, judged["bob"].ratio)
+        == ".0208±.0008 (2.05×)"
+    )
+    for shape, ratio in (
+        ("fandisk", 10.4),
+        ("armadillo", 4.1),
+        ("rocker-arm", 0.96),
+        ("cube", 7.9),
+        ("bowl_wide", 4.1),
+    ):
         assert judged[shape].ratio == pytest.approx(ratio, abs=0.06)
     loops = group_statistic(judged, ("bob", "rocker-arm", "eight"))
     voids = group_statistic(judged, ("spot", "fandisk", "pot", "armadillo", "horse"))
@@ -72,9 +90,9 @@ def test_welch_sigma_only_with_five_seeds_and_equal_to_scipys():
     assert welch_sigma(a[:4], b) is None and welch_sigma([1.0] * 5, [2.0] * 5) is None
     # The paper's sphere: .0623±.0063 against .0156±.0013, five seeds each, is 16.2 sigma.
     unit = np.array([-1, -0.5, 0, 0.5, 1]) / np.std([-1, -0.5, 0, 0.5, 1], ddof=1)
-    judged = verdict(rows("sphere", C0=tuple(0.0623 + 0.0063 * unit), C1=tuple(0.0156 + 0.0013 * unit), C2=(0.1372,) * 5))[
-        "sphere"
-    ]
+    judged = verdict(
+        rows("sphere", C0=tuple(0.0623 + 0.0063 * unit), C1=tuple(0.0156 + 0.0013 * unit), C2=(0.1372,) * 5)
+    )["sphere"]
     assert judged.welch["C0"] == pytest.approx(16.2, abs=0.05) and judged.passed
     assert verdict(rows("sphere", C0=(0.06,) * 3, C1=(0.01, 0.02, 0.03), C2=(0.1,) * 3))["sphere"].welch == {}
 
@@ -95,7 +113,9 @@ def test_every_outcome():
         judged = verdict(rows("x", **{name: tails for name, tails in good.items() if name != missing}))["x"]
         assert judged.outcome == "incomplete" and missing in judged.reason
     gentle = verdict(rows("x", **good, C2g=(0.012, 0.02, 0.03)))["x"]
-    assert gentle.outcome == "tied by control" and "C2g" in gentle.reason  # every control that was run must be beaten
+    assert (
+        gentle.outcome == "tied by control" and "C2g" in gentle.reason
+    )  # every control that was run must be beaten
 
 
 def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
@@ -164,7 +184,9 @@ def test_transcribed_tables_give_the_same_verdicts():
 
 
 def test_tables_put_ours_beside_the_published():
-    ours = rows("cube", {"C0": 0.01, "C1": 0.009, "C2": 0.02}, C0=(0.05, 0.06), C1=(0.01, 0.012), C2=(0.13, 0.13))
+    ours = rows(
+        "cube", {"C0": 0.01, "C1": 0.009, "C2": 0.02}, C0=(0.05, 0.06), C1=(0.01, 0.012), C2=(0.13, 0.13)
+    )
     both = pd.concat([published("1"), published("S7")])
     table = arm_table(pd.DataFrame(ours), both).set_index("condition")
     assert table.loc["C1", "mean"] == pytest.approx(0.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
@@ -174,15 +196,21 @@ def test_tables_put_ours_beside_the_published():
     assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
     assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
     assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346±.0000 (0.43×)"
-    assert arm_table(ours, published("S7")).set_index("condition").loc["C1", "published mean"] == pytest.approx(0.00737, abs=1e-5)
+    assert arm_table(ours, published("S7")).set_index("condition").loc[
+        "C1", "published mean"
+    ] == pytest.approx(0.00737, abs=1e-5)
     layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
     assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""
 
 
 def test_every_arm_of_a_shape_is_counted_against_the_same_number():
     """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has no bundle."""
-    bob = [study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")]  # no Betti numbers; two bars in its bundle
-    assert [row["expected"] for row in rows_of(bob)] == [2, 2] and [row["expected"] for row in rows_of(bob[:1])] == [None]
+    bob = [
+        study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")
+    ]  # no Betti numbers; two bars in its bundle
+    assert [row["expected"] for row in rows_of(bob)] == [2, 2] and [
+        row["expected"] for row in rows_of(bob[:1])
+    ] == [None]
     disk = [record | {"mesh": record["mesh"] | {"betti": (1, 0, 0)}} for record in bob]
     assert [row["expected"] for row in rows_of(disk)] == [2, 2]
     genus_two = [record | {"mesh": record["mesh"] | {"betti": (1, 4, 1)}} for record in bob]

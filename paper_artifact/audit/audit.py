@@ -100,7 +100,12 @@ def audit_mesh(
     bundle = None
     if decision.samples is not None:
         bundle = build_from_mesh(
-            mesh.vertices, mesh.faces, decision.samples, first_seed, shape=mesh.name, dimensions=decision.dimensions
+            mesh.vertices,
+            mesh.faces,
+            decision.samples,
+            first_seed,
+            shape=mesh.name,
+            dimensions=decision.dimensions,
         )
     shown = diagrams[decision.samples if decision.samples is not None else max(diagrams)]
     return Audit(name or mesh.name, mesh, certificate, tuple(rungs), decision, bundle, shown)

@@ -35,14 +35,17 @@ def audit_page(audit: Audit) -> str:
         f"<h1>{html.escape(title)}</h1><p>The certificate <b class='{verdict[0]}'>{verdict[1]}</b>. {html.escape(headline(audit))}</p>",
         "<h2>Certificate</h2>" + _pre(certificate_text(audit.certificate)),
         "<h2>Density staircase</h2><p>Significant bars (components with the infinite one, loops, voids) of M points drawn uniformly by area, "
-        "and the longest lifetimes as multiples of the floor 6·r<sub>med</sub>(M).</p>" + _staircase_table(audit),
+        "and the longest lifetimes as multiples of the floor 6·r<sub>med</sub>(M).</p>"
+        + _staircase_table(audit),
         _image(_margin_figure(audit)),
         "<h2>Observable and density</h2>" + _list(decision.reasons),
         "<p><b>Warnings</b></p>" + _list(decision.warnings) if decision.warnings else "",
         f"<h2>Diagrams at M = {_shown_samples(audit)}</h2><p>Births and deaths are radii divided by the bounding-box diagonal; "
-        "dotted: the floor.</p>" + _image(_diagram_figure(audit), "png"),  # thousands of dots: smaller as pixels
+        "dotted: the floor.</p>"
+        + _image(_diagram_figure(audit), "png"),  # thousands of dots: smaller as pixels
         _bundle_section(audit),
-        "<h2>3-D view</h2>" + f'<iframe title="3-D view" srcdoc="{html.escape(_view(audit), quote=True)}"></iframe>',
+        "<h2>3-D view</h2>"
+        + f'<iframe title="3-D view" srcdoc="{html.escape(_view(audit), quote=True)}"></iframe>',
     ]
     return (
         f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style></head>"
@@ -63,12 +66,17 @@ def headline(audit: Audit) -> str:
 
 
 def _shown_samples(audit: Audit) -> int:
-    return audit.decision.samples if audit.decision.samples is not None else max(rung.samples for rung in audit.rungs)
+    return (
+        audit.decision.samples
+        if audit.decision.samples is not None
+        else max(rung.samples for rung in audit.rungs)
+    )
 
 
 def _staircase_table(audit: Audit) -> str:
     head = "".join(
-        f"<th>{text}</th>" for text in ("M", "seed", "floor", "significant", *(f"{name}: longest / floor" for name in NAMES))
+        f"<th>{text}</th>"
+        for text in ("M", "seed", "floor", "significant", *(f"{name}: longest / floor" for name in NAMES))
     )
     rows = []
     for rung in audit.rungs:
@@ -85,7 +93,9 @@ def _margin_figure(audit: Audit) -> Figure:
     for dimension, axis in enumerate(axes[0]):
         for rank in range(SHOWN):
             points = [
-                (rung.samples, rung.margins[dimension][rank]) for rung in audit.rungs if len(rung.margins[dimension]) > rank
+                (rung.samples, rung.margins[dimension][rank])
+                for rung in audit.rungs
+                if len(rung.margins[dimension]) > rank
             ]
             if points:
                 axis.plot(*zip(*points), "o", markersize=3.5, color="#1f5fbf", alpha=1 - 0.2 * rank)
@@ -108,7 +118,11 @@ def _diagram_figure(audit: Audit) -> Figure:
     figure, axes = new_figure(1, 3, 3.2, 3.2)
     limit = 1.08 * max([float(bars.max()) for bars in audit.diagram if len(bars)], default=1.0)
     for dimension, axis in enumerate(axes[0]):
-        target = audit.bundle.bars[dimension] if audit.bundle is not None and dimension in audit.bundle.dimensions else None
+        target = (
+            audit.bundle.bars[dimension]
+            if audit.bundle is not None and dimension in audit.bundle.dimensions
+            else None
+        )
         draw_diagram(
             axis,
             audit.diagram[dimension],
@@ -128,7 +142,8 @@ def _bundle_section(audit: Audit) -> str:
         "<h2>Bundle</h2>"
         + _list(lines)
         + "<h2>Training</h2><p>These commands build this very bundle again (same mesh, M, seed); "
-        "repeat them with --seed 1, --seed 2 for the protocol's three seeds.</p>" + _pre("\n".join(audit.commands))
+        "repeat them with --seed 1, --seed 2 for the protocol's three seeds.</p>"
+        + _pre("\n".join(audit.commands))
     )
 
 

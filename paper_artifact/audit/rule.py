@@ -77,17 +77,23 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
     by_samples = {rung.samples: rung for rung in sorted(rungs, key=lambda each: each.samples)}
     missing = [samples for samples in working if samples not in by_samples]
     if missing or not working:
-        raise InputError(f"the staircase has no rung at the working density {missing or ''}; measure it there")
+        raise InputError(
+            f"the staircase has no rung at the working density {missing or ''}; measure it there"
+        )
     ladder = [by_samples[samples] for samples in sorted(working)]
     reasons = []
     observed = ladder[-1].counts
     if certificate.passed and certificate.closed:
         certified = (certificate.betti[0] - 1, certificate.betti[1], certificate.betti[2])
-        reasons.append(f"The certificate passes: expected finite bars {certified} of β = {certificate.betti}.")
+        reasons.append(
+            f"The certificate passes: expected finite bars {certified} of β = {certificate.betti}."
+        )
         choices = [("certificate", certified), ("observation", observed)]
     else:
         why = "is that of a surface with boundary" if certificate.passed else "fails"
-        reasons.append(f"The certificate {why}, so the expected bars are those observed at M = {ladder[-1].samples}: {observed}.")
+        reasons.append(
+            f"The certificate {why}, so the expected bars are those observed at M = {ladder[-1].samples}: {observed}."
+        )
         choices = [("observation", observed)]
     for basis, expected in choices:
         if basis == "observation" and len(choices) == 2:
@@ -105,7 +111,9 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
             return _decision(by_samples, rung, dimension, complete, expected, basis, reasons)
     denser = [rung for rung in by_samples.values() if sum(rung.counts) and rung.samples not in working]
     if denser:
-        reasons.append(f"Bars appear at M = {', '.join(str(rung.samples) for rung in denser)} only, which is no working density.")
+        reasons.append(
+            f"Bars appear at M = {', '.join(str(rung.samples) for rung in denser)} only, which is no working density."
+        )
     return Decision(None, None, (), False, choices[0][1], choices[0][0], tuple(reasons), ())
 
 
@@ -133,7 +141,8 @@ def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -
         )
     left = [d for d in range(3) if d != dimension and d not in others and (expected[d] or rung.counts[d])]
     reasons += [
-        f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}." for d in left
+        f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}."
+        for d in left
     ]
     warnings = [
         f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are expected: a concavity that caps, "
@@ -149,7 +158,14 @@ def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -
         if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])
     ]
     return Decision(
-        dimension, rung.samples, tuple(sorted((dimension, *others))), complete, expected, basis, tuple(reasons), tuple(warnings)
+        dimension,
+        rung.samples,
+        tuple(sorted((dimension, *others))),
+        complete,
+        expected,
+        basis,
+        tuple(reasons),
+        tuple(warnings),
     )
 
 

@@ -16,10 +16,14 @@ def light_mesh(mesh: Mesh, most: int = 60_000) -> Mesh:
     cells = 256
     vertices, faces = mesh.vertices, mesh.faces
     while len(faces) > most:
-        keys = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / (mesh.diagonal / cells)).astype(np.int64)
+        keys = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / (mesh.diagonal / cells)).astype(
+            np.int64
+        )
         _, group = np.unique(keys @ (1 << np.array([0, 20, 40])), return_inverse=True)
         size = np.bincount(group)
-        vertices = np.stack([np.bincount(group, weights=mesh.vertices[:, axis]) / size for axis in range(3)], axis=1)
+        vertices = np.stack(
+            [np.bincount(group, weights=mesh.vertices[:, axis]) / size for axis in range(3)], axis=1
+        )
         vertices, faces = weld(vertices, group[mesh.faces])
         faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
         cells = cells * 3 // 4

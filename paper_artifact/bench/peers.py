@@ -25,8 +25,8 @@ from torch import Tensor
 import paper_artifact
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology.benchmark import CLOUDS
-from paper_artifact.topology.diagrams import alpha_diagrams
+from paper_artifact.bench.persistence import CLOUDS
+from paper_artifact.alpha.diagrams import alpha_diagrams
 
 OURS = "paper_artifact"
 LONGEST = 10
@@ -151,7 +151,9 @@ def peer_rows(
             threads = torch.get_num_threads()
             torch.set_num_threads(1)
             try:
-                rows = _measure(cloud, size, repetitions if size <= 4096 else min(repetitions, 3), able, missing)
+                rows = _measure(
+                    cloud, size, repetitions if size <= 4096 else min(repetitions, 3), able, missing
+                )
             finally:
                 torch.set_num_threads(threads)
             yield from rows
@@ -164,7 +166,9 @@ def peer_rows(
             able = [peer for peer in able if peer.name not in slow]
 
 
-def _measure(cloud: str, size: int, repetitions: int, peers: Sequence[Peer], missing: list[str]) -> list[dict]:
+def _measure(
+    cloud: str, size: int, repetitions: int, peers: Sequence[Peer], missing: list[str]
+) -> list[dict]:
     points = CLOUDS[cloud](size, stream(0, f"persistence benchmark {cloud}", size))
     first, run = {OURS: loss_and_gradient(our_diagrams, points)}, {OURS: our_diagrams}
     for peer in peers:
@@ -218,12 +222,16 @@ def bar_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def _longest(diagram: np.ndarray) -> np.ndarray:
     chosen = diagram[np.argsort(diagram[:, 0] - diagram[:, 1], kind="stable")[:LONGEST]]
-    return chosen[np.lexsort((chosen[:, 1], chosen[:, 0]))]  # by birth: rounding must not swap bars of nearly one length
+    return chosen[
+        np.lexsort((chosen[:, 1], chosen[:, 0]))
+    ]  # by birth: rounding must not swap bars of nearly one length
 
 
 def gradient_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     """Return max |theirs - ours| / max |ours| of two gradients (M,3); nan where a component of theirs is not finite."""
-    return float(np.abs(theirs - ours).max() / np.abs(ours).max()) if np.isfinite(theirs).all() else float("nan")
+    return (
+        float(np.abs(theirs - ours).max() / np.abs(ours).max()) if np.isfinite(theirs).all() else float("nan")
+    )
 
 
 def _versions(distributions: Sequence[str]) -> str:

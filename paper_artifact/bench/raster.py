@@ -16,7 +16,7 @@ from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.config import default_config
 from paper_artifact.train.loop import train
-from paper_artifact.train.run import find_mesh, prepare_scene
+from paper_artifact.pipeline import find_mesh, prepare_scene
 
 
 FUSED = "numba, fused (the trainer's)"
@@ -29,7 +29,9 @@ def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
     return scene, train(scene, config, device="cpu").soup
 
 
-def _numba_step(soup: Soup, scene: Scene, target: torch.Tensor, statistics, buffers, views, keys, seconds: dict) -> None:
+def _numba_step(
+    soup: Soup, scene: Scene, target: torch.Tensor, statistics, buffers, views, keys, seconds: dict
+) -> None:
     def lap(stage: str) -> None:
         nonlocal begin
         now = time.perf_counter()
@@ -38,7 +40,9 @@ def _numba_step(soup: Soup, scene: Scene, target: torch.Tensor, statistics, buff
 
     begin = time.perf_counter()
     opacity = torch.sigmoid(soup.opacity)
-    raster = functions.rasterize(soup.vertices, opacity, scene.world_to_clip[views], *target.shape[2:], keys, buffers)
+    raster = functions.rasterize(
+        soup.vertices, opacity, scene.world_to_clip[views], *target.shape[2:], keys, buffers
+    )
     lap("raster")
     colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, scene.background)
     lap("shading")
@@ -51,7 +55,9 @@ def _numba_step(soup: Soup, scene: Scene, target: torch.Tensor, statistics, buff
     lap("backward (shading, edges)")
 
 
-def _twin_step(soup: Soup, matrices: torch.Tensor, background: torch.Tensor, target: torch.Tensor, keys) -> None:
+def _twin_step(
+    soup: Soup, matrices: torch.Tensor, background: torch.Tensor, target: torch.Tensor, keys
+) -> None:
     opacity = torch.sigmoid(soup.opacity)
     raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
     colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, background)
@@ -61,7 +67,9 @@ def _twin_step(soup: Soup, matrices: torch.Tensor, background: torch.Tensor, tar
 
 
 def _as(soup: Soup, dtype: torch.dtype) -> Soup:
-    tensors = [tensor.detach().to(dtype) for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)]
+    tensors = [
+        tensor.detach().to(dtype) for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+    ]
     return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
 
 
@@ -72,7 +80,9 @@ def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
     views = scene.train[np.arange(4) * len(scene.train) // 4]
     target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))
     statistics, buffers = functions.target_statistics(target), functions.RasterBuffers()
-    times: dict[str, list[float]] = {name: [] for name in (FUSED, "numba, torch functions", "twin float32", "twin float64")}
+    times: dict[str, list[float]] = {
+        name: [] for name in (FUSED, "numba, torch functions", "twin float32", "twin float64")
+    }
     stages: dict[str, list[float]] = {}
     copies = {"twin float32": _as(soup, torch.float32), "twin float64": _as(soup, torch.float64)}
     trainer = CpuBackend(scene, views)
@@ -103,5 +113,6 @@ def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
         for name, values in times.items()
     ]
     return rows + [
-        {"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None} for name, values in stages.items()
+        {"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None}
+        for name, values in stages.items()
     ]

@@ -15,7 +15,7 @@ import torch
 from paper_artifact.raster.threads import set_thread_count
 from paper_artifact.train.config import default_config
 from paper_artifact.train.loop import train
-from paper_artifact.train.run import find_mesh, make_run_term, prepare_scene, with_condition
+from paper_artifact.pipeline import find_mesh, make_run_term, prepare_scene, with_condition
 shape, condition, steps, threads, results, changes = json.loads(sys.argv[1])
 torch.set_num_threads(1)
 set_thread_count(threads)
@@ -44,5 +44,7 @@ def run_row(shape: str, condition: str, steps: int, threads: int, results: Path,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     if child.returncode:
-        raise RuntimeError(f"the benchmark run failed: {(child.stderr.strip().splitlines() or ['no message'])[-1]}")
+        raise RuntimeError(
+            f"the benchmark run failed: {(child.stderr.strip().splitlines() or ['no message'])[-1]}"
+        )
     return json.loads(child.stdout.strip().splitlines()[-1])

@@ -10,12 +10,12 @@ from statistics import median
 import torch
 
 from paper_artifact.bench.raster import sphere_case
-from paper_artifact.topology.conditions import get_condition
-from paper_artifact.topology.persistence import alpha_persistence
+from paper_artifact.catalogue import get_condition
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.topology.samples import draw_samples, samples_stream
 from paper_artifact.topology.term import make_term
 from paper_artifact.train.config import default_config
-from paper_artifact.train.run import find_mesh, make_run_term, with_condition
+from paper_artifact.pipeline import find_mesh, make_run_term, with_condition
 
 
 def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[dict]:
@@ -33,7 +33,9 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
     }
     refresh, oracle, frozen = times
     for repetition in range(repetitions + 1):
-        term = make_term(get_condition("C3"), bundle, config.steps, seed=repetition)  # no ramp: active from the first step
+        term = make_term(
+            get_condition("C3"), bundle, config.steps, seed=repetition
+        )  # no ramp: active from the first step
         begin = time.process_time()
         term.refresh_if_due(0, soup.vertices, opacity, True)
         times[refresh].append(time.process_time() - begin)
@@ -47,5 +49,6 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
         times[oracle].append(time.process_time() - begin)
     reference = median(times[refresh][1:])
     return [
-        {"what": name, "ms": 1e3 * median(values[1:]), "ratio": median(values[1:]) / reference} for name, values in times.items()
+        {"what": name, "ms": 1e3 * median(values[1:]), "ratio": median(values[1:]) / reference}
+        for name, values in times.items()
     ]

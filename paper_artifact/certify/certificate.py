@@ -114,7 +114,9 @@ def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
     return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary)
 
 
-def certify(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with_boundary: bool = False) -> Certificate:
+def certify(
+    vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with_boundary: bool = False
+) -> Certificate:
     """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64; see `certify_mesh`."""
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
@@ -127,7 +129,13 @@ def certify(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with
     dual = dual_voids(simplices)
     numbers = {
         field: int(getattr(checks, field).sum())
-        for field in ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
+        for field in (
+            "open_edges",
+            "boundary_loops",
+            "nonmanifold_edges",
+            "pinched_vertices",
+            "reversed_edges",
+        )
     }
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
     reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
@@ -162,7 +170,13 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
     euler = vertices - edges + faces
     numbers = {
         field: int(getattr(checks, field)[i])
-        for field in ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
+        for field in (
+            "open_edges",
+            "boundary_loops",
+            "nonmanifold_edges",
+            "pinched_vertices",
+            "reversed_edges",
+        )
     }
     orientable, loops = bool(checks.orientable[i]), numbers["boundary_loops"]
     genus = expected = None
@@ -188,9 +202,13 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
 def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[str]:
     reasons = []
     if numbers["open_edges"] and not with_boundary:
-        reasons.append(f"{_count(numbers['open_edges'], 'open edge')} in {_count(numbers['boundary_loops'], 'boundary loop')}")
+        reasons.append(
+            f"{_count(numbers['open_edges'], 'open edge')} in {_count(numbers['boundary_loops'], 'boundary loop')}"
+        )
     if numbers["nonmanifold_edges"]:
-        reasons.append(f"non-manifold: {_count(numbers['nonmanifold_edges'], 'edge')} with more than two faces")
+        reasons.append(
+            f"non-manifold: {_count(numbers['nonmanifold_edges'], 'edge')} with more than two faces"
+        )
     if numbers["pinched_vertices"]:
         reasons.append(
             f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} (faces in more than one fan)"
@@ -199,13 +217,17 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
         reasons.append(f"{_count(checks.duplicate_faces, 'duplicate face')}")
     odd = [each.euler for each in components if each.euler % 2 and each.open_edges == 0]
     if odd:
-        reasons.append(f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary")
+        reasons.append(
+            f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary"
+        )
     if not checks.orientable.all():
         reasons.append(f"not orientable ({_count(int((~checks.orientable).sum()), 'component')})")
     elif numbers["reversed_edges"]:
         reasons.append(f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}")
     if any(each.expected not in (None, each.betti) for each in components) or dual not in (None, betti[2]):
-        reasons.append("homology and Euler characteristic disagree: please report this mesh, it is a fault of the certificate")
+        reasons.append(
+            "homology and Euler characteristic disagree: please report this mesh, it is a fault of the certificate"
+        )
     return reasons
 
 
@@ -235,7 +257,9 @@ def _kind(components: list[Component]) -> str:
 def _sort_of(each: Component) -> str:
     if not each.manifold:
         return "no manifold"
-    handles = f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus, 'crosscap')}"
+    handles = (
+        f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus, 'crosscap')}"
+    )
     if each.boundary_loops == 0:
         return f"closed surface, {handles}"
     if each.genus == 0 and each.orientable:

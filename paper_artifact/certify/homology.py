@@ -63,7 +63,9 @@ def dual_voids(simplices: Complex) -> int | None:
         return None
     place = {member: index for index, member in enumerate(unknown)}
     basis: dict[int, int] = {}
-    rank = sum(_enters(basis, sum(1 << place[member] for member in equation)) for equation in sorted(equations))
+    rank = sum(
+        _enters(basis, sum(1 << place[member] for member in equation)) for equation in sorted(equations)
+    )
     return groups - int(zero.sum()) - rank
 
 
@@ -119,7 +121,9 @@ def _collapse(face_edges: np.ndarray, tree: np.ndarray):
     """Pivots in order: faces (p,), time (E,) at which an edge was pivot or -1; and the faces set aside with their time."""
     face_count, edge_count = len(face_edges), len(tree)
     degree = np.zeros(edge_count, dtype=np.int64)
-    both = np.zeros(edge_count, dtype=np.int64)  # xor of the live faces at an edge: the face itself when one is left
+    both = np.zeros(
+        edge_count, dtype=np.int64
+    )  # xor of the live faces at an edge: the face itself when one is left
     for face in range(face_count):
         for side in range(3):
             edge = face_edges[face, side]
@@ -164,7 +168,12 @@ def _collapse(face_edges: np.ndarray, tree: np.ndarray):
                 if degree[edge] == 1:
                     stack[top] = edge
                     top += 1
-    return pivot_faces[:pivots].copy(), pivot_time, deferred[:set_aside].copy(), deferred_time[:set_aside].copy()
+    return (
+        pivot_faces[:pivots].copy(),
+        pivot_time,
+        deferred[:set_aside].copy(),
+        deferred_time[:set_aside].copy(),
+    )
 
 
 @njit(cache=True)

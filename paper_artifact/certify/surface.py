@@ -59,7 +59,9 @@ def check_surface(vertices: np.ndarray, faces: np.ndarray, component_of_vertex: 
         boundary_loops=_chains(edges[open_edge], component_of_vertex, count),
         pinched_vertices=_pinched(faces, order, degree, component_of_vertex, count),
         reversed_edges=np.bincount(of_edge[degree == 2][alike], minlength=count),
-        orientable=_orientable(len(faces), first // 3, second // 3, alike, component_of_vertex[faces[:, 0]], count),
+        orientable=_orientable(
+            len(faces), first // 3, second // 3, alike, component_of_vertex[faces[:, 0]], count
+        ),
         volume=_volumes(vertices, faces, component_of_vertex[faces[:, 0]], count),
         duplicate_faces=len(faces) - len(np.unique(np.sort(faces, axis=1), axis=0)),
         flat_faces=int((face_areas(vertices, faces) == 0).sum()),

@@ -10,17 +10,27 @@ LONGEST = 12  # components that are listed
 def certificate_text(certificate: Certificate) -> str:
     """Return the certificate as lines of text, the verdict first."""
     c = certificate
-    lines = [f"{c.name}: {c.verdict.upper()}" + (" as a surface with boundary" if c.passed and not c.closed else "")]
+    lines = [
+        f"{c.name}: {c.verdict.upper()}"
+        + (" as a surface with boundary" if c.passed and not c.closed else "")
+    ]
     lines += [f"  reason: {reason}" for reason in c.reasons] + [f"  note: {note}" for note in c.notes]
     rows = [
         ("kind", c.kind),
-        ("as indexed", f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, {c.open_edges_as_indexed} open edges"),
+        (
+            "as indexed",
+            f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, {c.open_edges_as_indexed} open edges",
+        ),
         ("after exact weld", f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles"),
-        ("open edges", f"{c.open_edges}" + (f" in {c.boundary_loops} boundary loops" if c.open_edges else "")),
+        (
+            "open edges",
+            f"{c.open_edges}" + (f" in {c.boundary_loops} boundary loops" if c.open_edges else ""),
+        ),
         ("non-manifold", f"{c.nonmanifold_edges} edges, {c.pinched_vertices} pinched vertices"),
         (
             "winding",
-            ("orientable" if c.orientable else "not orientable") + f", {c.reversed_edges} edges wound alike by both faces",
+            ("orientable" if c.orientable else "not orientable")
+            + f", {c.reversed_edges} edges wound alike by both faces",
         ),
         ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
         (
@@ -29,7 +39,8 @@ def certificate_text(certificate: Certificate) -> str:
         ),
         (
             "Euler characteristic",
-            f"{c.euler}" + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""),
+            f"{c.euler}"
+            + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""),
         ),
     ]
     lines += [f"  {label:<21}{text}" for label, text in rows]

@@ -32,12 +32,20 @@ class Verb(NamedTuple):
 
 
 VERBS: dict[str, Verb] = {
-    "fetch": Verb("fetch", "download the external meshes at their pinned commits, or read them from a mirror"),
-    "scene": Verb("scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"),
+    "fetch": Verb(
+        "fetch", "download the external meshes at their pinned commits, or read them from a mirror"
+    ),
+    "scene": Verb(
+        "scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"
+    ),
     "train": Verb("train", "train a triangle soup on a scene and write its run record"),
-    "evaluate": Verb("evaluate", "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM"),
+    "evaluate": Verb(
+        "evaluate", "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM"
+    ),
     "export": Verb("export", "write a trained soup as PLY, GLB, PNG renders and a self-contained HTML view"),
-    "run-all": Verb("run_all", "execute every notebook in order and print a table of notebook, time and status"),
+    "run-all": Verb(
+        "run_all", "execute every notebook in order and print a table of notebook, time and status"
+    ),
     "bench": Verb("bench", "measure speed and memory; every ratio is taken in one process"),
     "certify": Verb("certify", "certify a mesh's topology by exact simplicial homology"),
     "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
@@ -62,7 +70,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"paper_artifact: {error}", file=sys.stderr)
     except KeyboardInterrupt:
-        print("paper_artifact: interrupted; finished files are complete and the same command can be run again", file=sys.stderr)
+        print(
+            "paper_artifact: interrupted; finished files are complete and the same command can be run again",
+            file=sys.stderr,
+        )
     except BrokenPipeError:
         # The reader (head, less) has gone; point stdout at nothing, so that the interpreter's last flush is silent.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -81,7 +92,10 @@ def _parser(asked: str | None):
     for name, verb in VERBS.items():
         # "resolve": a verb may define --quiet again with words of its own.
         child = verbs.add_parser(
-            name, help=verb.summary, description=verb.summary[0].upper() + verb.summary[1:] + ".", conflict_handler="resolve"
+            name,
+            help=verb.summary,
+            description=verb.summary[0].upper() + verb.summary[1:] + ".",
+            conflict_handler="resolve",
         )
         if verb.long:
             child.add_argument("--quiet", action="store_true", help="no progress bar, for logs")

@@ -12,12 +12,18 @@ from paper_artifact.files import RESULTS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument(
-        "mesh", help="a mesh file (any that trimesh reads), the key of an external mesh, an analytic shape, or 'pot'"
+        "mesh",
+        help="a mesh file (any that trimesh reads), the key of an external mesh, an analytic shape, or 'pot'",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)",
     )
-    parser.add_argument("--seeds", type=int, default=1, help="sampling seeds of the staircase (default: %(default)s)")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="sampling seeds of the staircase (default: %(default)s)"
+    )
     parser.add_argument(
         "--seed",
         type=int,
@@ -25,10 +31,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the first of them, which decides and which the bundle is built with (default: %(default)s)",
     )
     parser.add_argument(
-        "--densities", type=int, nargs="+", metavar="M", help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)"
+        "--densities",
+        type=int,
+        nargs="+",
+        metavar="M",
+        help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)",
     )
     parser.add_argument(
-        "--working", type=int, nargs="+", metavar="M", help="densities that the rule may choose (default: 2048 8192)"
+        "--working",
+        type=int,
+        nargs="+",
+        metavar="M",
+        help="densities that the rule may choose (default: 2048 8192)",
     )
 
 
@@ -70,9 +84,18 @@ def run(arguments: argparse.Namespace) -> int:
         + f", {certificate.kind}, β = {certificate.betti}"
     )
     for rung in audit.rungs:
-        tops = "  ".join(f"H{d} {margins[0]:.2f}" if margins else f"H{d}    –" for d, margins in enumerate(rung.margins))
-        print(f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} longest / floor: {tops}")
-    print("\n".join(f"  {line}" for line in (*audit.decision.reasons, *(f"warning: {text}" for text in audit.decision.warnings))))
+        tops = "  ".join(
+            f"H{d} {margins[0]:.2f}" if margins else f"H{d}    –" for d, margins in enumerate(rung.margins)
+        )
+        print(
+            f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} longest / floor: {tops}"
+        )
+    print(
+        "\n".join(
+            f"  {line}"
+            for line in (*audit.decision.reasons, *(f"warning: {text}" for text in audit.decision.warnings))
+        )
+    )
     print(headline(audit))
     print("\n".join([*audit.commands, str(folder / "audit.html")]))
     return 0

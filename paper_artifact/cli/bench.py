@@ -20,8 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PART",
         help=f"what to measure: {', '.join(PARTS)} (default: all; peers only where one is installed)",
     )
-    parser.add_argument("--steps", type=int, default=2500, help="steps of the whole runs (default: %(default)s)")
-    parser.add_argument("--repetitions", type=int, default=7, help="turns of the part peers (default: %(default)s)")
+    parser.add_argument(
+        "--steps", type=int, default=2500, help="steps of the whole runs (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--repetitions", type=int, default=7, help="turns of the part peers (default: %(default)s)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -38,7 +42,13 @@ def run(arguments: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         for part in arguments.parts or _default_parts():
-            measure = {"raster": _raster, "run": _run, "persistence": _persistence, "loss": _loss, "peers": _peers}[part]
+            measure = {
+                "raster": _raster,
+                "run": _run,
+                "persistence": _persistence,
+                "loss": _loss,
+                "peers": _peers,
+            }[part]
             measure(Path(folder), arguments)
     return 0
 
@@ -46,13 +56,17 @@ def run(arguments: argparse.Namespace) -> int:
 def _default_parts() -> tuple[str, ...]:
     from paper_artifact.bench.peers import PEERS, installed
 
-    return PARTS if any(installed(peer) for peer in PEERS) else tuple(part for part in PARTS if part != "peers")
+    return (
+        PARTS if any(installed(peer) for peer in PEERS) else tuple(part for part in PARTS if part != "peers")
+    )
 
 
 def _raster(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.raster import raster_rows
 
-    print("Photometric step, C0 sphere after 300 steps, N = 1200, 200 px, batch 4; CPU ms, one thread, median of 15")
+    print(
+        "Photometric step, C0 sphere after 300 steps, N = 1200, 200 px, batch 4; CPU ms, one thread, median of 15"
+    )
     for row in raster_rows(folder):
         ratio = "" if row["ratio"] is None else f"   {row['ratio']:6.1f} × the trainer's"
         print(f"  {row['what']:42s} {row['ms']:9.2f}{ratio}")
@@ -73,7 +87,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> None:
 
 def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.report.cost import CLOUDS
-    from paper_artifact.topology.benchmark import growth_exponent, persistence_rows
+    from paper_artifact.bench.persistence import growth_exponent, persistence_rows
 
     print("Alpha persistence with birth and death simplices; CPU ms, one thread, medians of 7 in turn")
     for cloud, (what, draw) in CLOUDS.items():
@@ -93,19 +107,31 @@ def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.run import run_row
     from paper_artifact.bench.topology import loss_rows
 
-    print("The loss on the sphere's soup after 300 steps, M = 2048; CPU ms, one thread, medians of 15 in turn")
+    print(
+        "The loss on the sphere's soup after 300 steps, M = 2048; CPU ms, one thread, medians of 15 in turn"
+    )
     for row in loss_rows(folder):
         print(f"  {row['what']:48s} {row['ms']:8.2f}   {row['ratio']:6.2f} × the refresh")
-    print(f"What the loss adds to a run of {arguments.steps} steps (one thread, CPU seconds of the training loop)")
-    base, with_loss = (run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1"))
-    print(f"  sphere C0 {base:.1f} s, C1 {with_loss:.1f} s: + {100 * (with_loss / base - 1):.0f} % (paper: +110 to +140 %)")
+    print(
+        f"What the loss adds to a run of {arguments.steps} steps (one thread, CPU seconds of the training loop)"
+    )
+    base, with_loss = (
+        run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1")
+    )
+    print(
+        f"  sphere C0 {base:.1f} s, C1 {with_loss:.1f} s: + {100 * (with_loss / base - 1):.0f} % (paper: +110 to +140 %)"
+    )
 
 
 def _peers(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.peers import peer_rows
 
-    print("Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and backward to the points;")
-    print(f"CPU ms, one thread, medians of {arguments.repetitions} in turn; bars, gradient: distance from ours")
+    print(
+        "Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and backward to the points;"
+    )
+    print(
+        f"CPU ms, one thread, medians of {arguments.repetitions} in turn; bars, gradient: distance from ours"
+    )
     missing: list[str] = []
     for row in peer_rows(repetitions=arguments.repetitions, missing=missing):
         case = f"{row['cloud']:5s} M = {row['M']:5d}  {row['library']:17s}"

@@ -11,7 +11,9 @@ from paper_artifact.errors import InputError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument(
-        "mesh", nargs="?", help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape"
+        "mesh",
+        nargs="?",
+        help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the whole certificate as JSON")
     parser.add_argument(
@@ -21,14 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--strict", action="store_true", help="exit code 1 unless the mesh passes")
     parser.add_argument(
-        "--candidates", action="store_true", help="instead of one mesh: the paper's eleven candidates, ours beside its table"
+        "--candidates",
+        action="store_true",
+        help="instead of one mesh: the paper's eleven candidates, ours beside its table",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the certificate. Returns 0 (with --strict 1 when it fails); InputError goes to the caller."""
     from paper_artifact.certify.certificate import certify_mesh
-    from paper_artifact.certify.disposition import disposition_text, dispositions
+    from paper_artifact.study.dispositions import disposition_text, dispositions
     from paper_artifact.certify.text import certificate_text
     from paper_artifact.files import write_json
     from paper_artifact.scene.find import find_mesh
@@ -39,7 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
         rows = dispositions()
         print(disposition_text(rows))
         if arguments.json:
-            write_json(arguments.json, {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows})
+            write_json(
+                arguments.json,
+                {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows},
+            )
         return 1 if arguments.strict and any(row.agrees is False for row in rows) else 0
     certificate = certify_mesh(find_mesh(arguments.mesh, welded=False), with_boundary=arguments.with_boundary)
     if arguments.json:

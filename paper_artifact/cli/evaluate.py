@@ -13,7 +13,9 @@ from paper_artifact.files import write_json
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("surface", type=Path, metavar="FILE", help="a trained soup (.npz) or any mesh file that trimesh reads")
+    parser.add_argument(
+        "surface", type=Path, metavar="FILE", help="a trained soup (.npz) or any mesh file that trimesh reads"
+    )
     parser.add_argument(
         "--target",
         required=True,
@@ -21,16 +23,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file",
     )
     parser.add_argument(
-        "--scene", type=Path, metavar="DIR", help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)"
+        "--scene",
+        type=Path,
+        metavar="DIR",
+        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)",
     )
     parser.add_argument(
-        "--samples", type=int, default=20_000, help="surface samples of either side (default: %(default)s, as the paper)"
+        "--samples",
+        type=int,
+        default=20_000,
+        help="surface samples of either side (default: %(default)s, as the paper)",
     )
     parser.add_argument(
-        "--dimension", type=int, choices=(0, 1, 2), help="the discriminating dimension (default: the study's for the shape)"
+        "--dimension",
+        type=int,
+        choices=(0, 1, 2),
+        help="the discriminating dimension (default: the study's for the shape)",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="also write everything to this file, with the longest bars")
+    parser.add_argument(
+        "--json", type=Path, metavar="OUT", help="also write everything to this file, with the longest bars"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -39,15 +52,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--samples must be at least 4, got {arguments.samples}")
     if not arguments.surface.is_file():
         raise InputError(f"no file at {arguments.surface}: give a trained soup (.npz) or a mesh")
-    from paper_artifact.evaluate import evaluate as metrics
+    from paper_artifact.evaluate import scores as metrics
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
-    from paper_artifact.train.run import find_mesh
+    from paper_artifact.pipeline import find_mesh
 
     is_soup = arguments.surface.suffix == ".npz"
     if arguments.scene is not None and not is_soup:
-        raise InputError(f"{arguments.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)")
+        raise InputError(
+            f"{arguments.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)"
+        )
     truth = find_mesh(arguments.target)
     draws = stream(arguments.seed, "evaluation samples")
     images = None
@@ -60,7 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         mesh = load_mesh(arguments.surface)
         samples = sample_surface(mesh.vertices, mesh.faces, arguments.samples, draws)[0]
-    target = metrics.make_target(truth, arguments.samples, arguments.seed, arguments.dimension, cache=metrics.TARGETS)
+    target = metrics.make_target(
+        truth, arguments.samples, arguments.seed, arguments.dimension, cache=metrics.TARGETS
+    )
     result = metrics.evaluate_samples(samples, target) | {
         "surface": str(arguments.surface),
         "target": target.name,
@@ -89,21 +106,25 @@ def table(result: dict) -> str:
             f"H{dimension}          {result['bottleneck'][dimension]:.5f}      {result['counts'][dimension]:<18} "
             f"{result['target_counts'][dimension]}{mark}"
         )
-    lines.append(f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only)")
+    lines.append(
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only)"
+    )
     lines.append(
         f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; sum {100 * result['chamfer_sum']:.3f} %), "
         f"Hausdorff95 {100 * result['hausdorff95']:.3f} %"
     )
     if "images" in result:
         scores = result["images"]
-        lines.append(f"held-out views: PSNR {scores['psnr']:.2f} dB, SSIM {scores['ssim']:.4f} ({len(scores['views'])} views)")
+        lines.append(
+            f"held-out views: PSNR {scores['psnr']:.2f} dB, SSIM {scores['ssim']:.4f} ({len(scores['views'])} views)"
+        )
     return "\n".join(lines)
 
 
 def _holdout_scores(soup, folder: Path) -> dict:
     from paper_artifact.evaluate.image import image_scores
     from paper_artifact.scene.load import load_scene
-    from paper_artifact.train.run import render_views
+    from paper_artifact.pipeline import render_views
 
     scene = load_scene(folder)
     return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.images[scene.holdout])

@@ -47,7 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and print their paths. Returns 0; InputError goes to the caller."""
     if arguments.views < 1 or not 16 <= arguments.size <= 4096:
-        raise InputError(f"--views must be at least 1 and --size in 16…4096, got {arguments.views} and {arguments.size}")
+        raise InputError(
+            f"--views must be at least 1 and --size in 16…4096, got {arguments.views} and {arguments.size}"
+        )
     from paper_artifact.export.models import write_glb, write_ply
     from paper_artifact.export.triangles import mesh_triangles, soup_triangles
     from paper_artifact.export.viewer import write_html
@@ -69,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     if "html" in arguments.formats:
         parts = {"soup": triangles}
         if arguments.target is not None:
-            from paper_artifact.train.run import find_mesh
+            from paper_artifact.pipeline import find_mesh
 
             parts["ground truth"] = mesh_triangles(find_mesh(arguments.target))
         write_html(path_of("html"), parts, arguments.soup.stem)

@@ -14,8 +14,12 @@ from paper_artifact.scene.sources import source, sources
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("key", nargs="*", help="meshes to fetch (default: all that the paper uses, sets aside or rejects)")
-    parser.add_argument("--all", action="store_true", help="also the other copies that were compared with these")
+    parser.add_argument(
+        "key", nargs="*", help="meshes to fetch (default: all that the paper uses, sets aside or rejects)"
+    )
+    parser.add_argument(
+        "--all", action="store_true", help="also the other copies that were compared with these"
+    )
     parser.add_argument(
         "--mirror",
         type=Path,
@@ -24,9 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"the environment variable {MIRROR_VARIABLE} does the same",
     )
     parser.add_argument(
-        "--out", type=Path, default=DOWNLOADS, metavar="DIR", help="where to put them (default: data_scripts/downloads)"
+        "--out",
+        type=Path,
+        default=DOWNLOADS,
+        metavar="DIR",
+        help="where to put them (default: data_scripts/downloads)",
     )
-    parser.add_argument("--list", action="store_true", help="print key, role, source and licence of every mesh and fetch nothing")
+    parser.add_argument(
+        "--list",
+        action="store_true",
+        help="print key, role, source and licence of every mesh and fetch nothing",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,7 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{entry.key:<17}{entry.role:<15}{place}\n{'':<17}licence: {entry.licence or '-'}")
         return 0
     keys = arguments.key or [
-        entry.key for entry in sources().values() if entry.obtainable and (arguments.all or entry.role != "comparison")
+        entry.key
+        for entry in sources().values()
+        if entry.obtainable and (arguments.all or entry.role != "comparison")
     ]
     for key in keys:
         source(key)  # a mistyped key stops before any download
@@ -51,7 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
             failed += 1
             print(f"{key}: {error}", file=sys.stderr)
         else:
-            print(f"{key:<17}{fetched.path.stat().st_size / 1e6:6.2f} MB  {_shown(fetched.path)}  ({fetched.origin})")
+            print(
+                f"{key:<17}{fetched.path.stat().st_size / 1e6:6.2f} MB  {_shown(fetched.path)}  ({fetched.origin})"
+            )
     if failed:
         print(f"paper_artifact: {failed} of {len(keys)} meshes could not be fetched", file=sys.stderr)
     return 1 if failed else 0

@@ -10,16 +10,25 @@ from paper_artifact.errors import InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("raw", help="a mesh file, the key of an external mesh, or 'pot' for the procedural hot pot with a flue")
-    parser.add_argument("--out", type=Path, required=True, metavar="SHELL", help="the shell: .ply, .obj or .stl")
+    parser.add_argument(
+        "raw",
+        help="a mesh file, the key of an external mesh, or 'pot' for the procedural hot pot with a flue",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="SHELL", help="the shell: .ply, .obj or .stl"
+    )
     parser.add_argument(
         "--offset",
         type=float,
         help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)",
     )
     parser.add_argument("--cells", type=float, help="grid cells per ε (default: 2)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write both certificates and the numbers as JSON")
-    parser.add_argument("--raw-obj", type=Path, metavar="FILE", help="pot only: also write the raw polygons as OBJ")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="also write both certificates and the numbers as JSON"
+    )
+    parser.add_argument(
+        "--raw-obj", type=Path, metavar="FILE", help="pot only: also write the raw polygons as OBJ"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,7 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
     mesh = find_mesh(arguments.raw, welded=False) if pot is None else pot.mesh()
     offset, cells = (solidify.OFFSET, solidify.CELLS) if pot is None else (hot_pot.OFFSET, hot_pot.CELLS)
     solid = solidify.solidify(
-        mesh, offset if arguments.offset is None else arguments.offset, cells if arguments.cells is None else arguments.cells
+        mesh,
+        offset if arguments.offset is None else arguments.offset,
+        cells if arguments.cells is None else arguments.cells,
     )
     certificate = write_shell(arguments.out, solid.shell)
     if arguments.json:

@@ -13,7 +13,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     summaries = "; ".join(f"{name}: {each.summary}" for name, each in MEASUREMENTS.items())
     parser.add_argument("name", choices=tuple(MEASUREMENTS), help=summaries)
     parser.add_argument(
-        "--out", type=Path, default=MEASURED, metavar="DIR", help="folder of NAME.csv (default: results/measured)"
+        "--out",
+        type=Path,
+        default=MEASURED,
+        metavar="DIR",
+        help="folder of NAME.csv (default: results/measured)",
     )
 
 

@@ -25,11 +25,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only the notebooks whose name starts with NAME; may be given several times",
     )
     parser.add_argument(
-        "--refresh", action="store_true", help="also write outputs and counts back into the notebooks, without times and paths"
+        "--refresh",
+        action="store_true",
+        help="also write outputs and counts back into the notebooks, without times and paths",
     )
-    parser.add_argument("--notebooks", type=Path, default=NOTEBOOKS, metavar="DIR", help="where they are (default: notebooks)")
     parser.add_argument(
-        "--out", type=Path, default=EXECUTED, metavar="DIR", help="where executed copies go (default: results/executed)"
+        "--notebooks", type=Path, default=NOTEBOOKS, metavar="DIR", help="where they are (default: notebooks)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=EXECUTED,
+        metavar="DIR",
+        help="where executed copies go (default: results/executed)",
     )
 
 
@@ -46,12 +54,21 @@ def run(arguments: argparse.Namespace) -> int:
             for path in bar:
                 bar.set_postfix_str(path.stem)
                 outcomes.append(
-                    execute(path, arguments.profile, executed=arguments.out, refresh=arguments.refresh, quiet=arguments.quiet)
+                    execute(
+                        path,
+                        arguments.profile,
+                        executed=arguments.out,
+                        refresh=arguments.refresh,
+                        quiet=arguments.quiet,
+                    )
                 )
     finally:  # an interrupted run shows what it did finish
         print(outcome_table(outcomes))
     failed = [outcome.name for outcome in outcomes if outcome.error]
     print(f"executed copies: {arguments.out}")
     if failed:
-        print(f"paper_artifact: {len(failed)} of {len(outcomes)} notebooks failed: {', '.join(failed)}", file=sys.stderr)
+        print(
+            f"paper_artifact: {len(failed)} of {len(outcomes)} notebooks failed: {', '.join(failed)}",
+            file=sys.stderr,
+        )
     return 1 if failed else 0

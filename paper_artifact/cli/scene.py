@@ -16,18 +16,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     default = SceneConfig()
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--shape", metavar="NAME", help=f"an analytic shape: {', '.join(SHAPES)}")
-    source.add_argument("--mesh", type=Path, metavar="FILE", help="any mesh file that trimesh reads (OBJ, PLY, OFF, STL, GLB …)")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="the scene's folder; the same scene is not built twice"
+    source.add_argument(
+        "--mesh",
+        type=Path,
+        metavar="FILE",
+        help="any mesh file that trimesh reads (OBJ, PLY, OFF, STL, GLB …)",
     )
-    parser.add_argument("--views", type=int, default=default.views, help="cameras, every 8th is held out (default: %(default)s)")
-    parser.add_argument("--size", type=int, default=default.size, help="image side in pixels (default: %(default)s)")
-    parser.add_argument("--background", choices=sorted(BACKGROUNDS), default=default.background, help="(default: %(default)s)")
     parser.add_argument(
-        "--supersample", type=int, default=default.supersample, help="samples per pixel and axis (default: %(default)s)"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="the scene's folder; the same scene is not built twice",
     )
-    parser.add_argument("--points", type=int, default=default.points, help="points of the SfM cloud (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=default.seed, help="of the SfM cloud (default: %(default)s)")
+    parser.add_argument(
+        "--views",
+        type=int,
+        default=default.views,
+        help="cameras, every 8th is held out (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--size", type=int, default=default.size, help="image side in pixels (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--background", choices=sorted(BACKGROUNDS), default=default.background, help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--supersample",
+        type=int,
+        default=default.supersample,
+        help="samples per pixel and axis (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--points", type=int, default=default.points, help="points of the SfM cloud (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=default.seed, help="of the SfM cloud (default: %(default)s)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

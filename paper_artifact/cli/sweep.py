@@ -13,15 +13,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("study", help="baseline, table1, table2 or bowls (paper_artifact/study/studies.py)")
     parser.add_argument("--shape", action="append", help="only this shape (may be given several times)")
-    parser.add_argument("--condition", action="append", help="only this condition (may be given several times)")
-    parser.add_argument("--seed", action="append", type=int, help="only this seed (may be given several times)")
     parser.add_argument(
-        "--workers", type=int, default=1, help="runs at the same time, one process and one thread each (default: %(default)s)"
+        "--condition", action="append", help="only this condition (may be given several times)"
+    )
+    parser.add_argument(
+        "--seed", action="append", type=int, help="only this seed (may be given several times)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        help="runs at the same time, one process and one thread each (default: %(default)s)",
     )
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder with runs/ (default: results/)")
     parser.add_argument("--device", default="cpu", help="cpu, cuda or auto (default: %(default)s)")
-    parser.add_argument("--executor", choices=("process", "dask"), default="process", help="(default: %(default)s)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask scheduler (tcp://host:8786), with --executor dask")
+    parser.add_argument(
+        "--executor", choices=("process", "dask"), default="process", help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of the Dask scheduler (tcp://host:8786), with --executor dask"
+    )
     parser.add_argument("--list", action="store_true", help="only say what is recorded and what is missing")
 
 
@@ -61,5 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     before = len(configs) - len(outcomes)
     print(f"{len(outcomes) - len(failures)} runs done, {before} were recorded before, {len(failures)} failed")
     for outcome in failures:
-        print(f"  {outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}: {outcome.failure}")
+        print(
+            f"  {outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}: {outcome.failure}"
+        )
     return 1 if failures else 0

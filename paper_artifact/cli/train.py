@@ -15,7 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
     parser.add_argument("shape", help="an analytic shape, the key of an external mesh, or a mesh file")
     parser.add_argument(
-        "--condition", default="C0", help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)"
+        "--condition",
+        default="C0",
+        help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
     parser.add_argument("--steps", type=int, default=2500, help="(default: %(default)s)")
@@ -28,13 +30,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="change any other number of the configuration, e.g. --set vertex_lr=0.006 --set budget=900",
     )
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="folder for record, soup, scene and checkpoint (default: results/)"
+        "--results",
+        type=Path,
+        default=RESULTS,
+        help="folder for record, soup, scene and checkpoint (default: results/)",
     )
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto (default: %(default)s)")
     parser.add_argument(
-        "--threads", type=int, default=1, help="CPU threads; the result does not depend on it (default: %(default)s)"
+        "--threads",
+        type=int,
+        default=1,
+        help="CPU threads; the result does not depend on it (default: %(default)s)",
     )
-    parser.add_argument("--again", action="store_true", help="run even if there is a record of this configuration")
+    parser.add_argument(
+        "--again", action="store_true", help="run even if there is a record of this configuration"
+    )
 
 
 def parse_changes(changes: list[str]) -> dict:
@@ -58,29 +68,39 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from paper_artifact.raster.threads import set_thread_count
-    from paper_artifact.record.record import record_path
+    from paper_artifact.record.store import record_path
     from paper_artifact.train.config import RunConfig, default_config
     from paper_artifact.train.loop import TrainingError
-    from paper_artifact.train.run import run as run_config
+    from paper_artifact.pipeline import run as run_config
 
     changes = parse_changes(arguments.changes)
     kinds = {field.name: field.type for field in fields(RunConfig)}
     for name, value in changes.items():
         if name in ("shape", "condition", "seed", "steps"):
-            raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
+            raise InputError(
+                f"--set {name} is not taken, since {name} has an argument of its own; see --help"
+            )
         if kinds.get(name) == "float" and isinstance(value, int):
             changes[name] = float(value)
         elif (
-            kinds.get(name) == "int" and not isinstance(value, int) or kinds.get(name) == "float" and not isinstance(value, float)
+            kinds.get(name) == "int"
+            and not isinstance(value, int)
+            or kinds.get(name) == "float"
+            and not isinstance(value, float)
         ):
             raise InputError(f"--set {name} takes a number of kind {kinds[name]}, got {value!r}")
-    config = default_config(arguments.shape, condition=arguments.condition, seed=arguments.seed, steps=arguments.steps, **changes)
+    config = default_config(
+        arguments.shape, condition=arguments.condition, seed=arguments.seed, steps=arguments.steps, **changes
+    )
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
     set_thread_count(arguments.threads)
     torch.set_num_threads(1)
     with tqdm(
-        total=config.steps, disable=arguments.quiet, desc=f"{arguments.shape} {config.condition}: compiling, scene", unit="step"
+        total=config.steps,
+        disable=arguments.quiet,
+        desc=f"{arguments.shape} {config.condition}: compiling, scene",
+        unit="step",
     ) as bar:
 
         def progress(step: int, text: str) -> None:
@@ -89,7 +109,11 @@ def run(arguments: argparse.Namespace) -> int:
 
         try:
             record = run_config(
-                config, results=arguments.results, progress=progress, device=arguments.device, again=arguments.again
+                config,
+                results=arguments.results,
+                progress=progress,
+                device=arguments.device,
+                again=arguments.again,
             )
         except TrainingError as error:
             raise InputError(str(error)) from error

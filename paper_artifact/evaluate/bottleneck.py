@@ -36,10 +36,14 @@ def bottleneck(a: np.ndarray, b: np.ndarray) -> float:
     if not a[:, 0].any() and not b[:, 0].any():  # dimension 0: bars on a ray
         a, b = np.sort(a[:, 1]), np.sort(b[:, 1])
         longest = max(a[-1], b[-1]) / 2
-        return _least(low, longest, lambda bound: _covered_on_a_ray(a, b, bound) and _covered_on_a_ray(b, a, bound))
+        return _least(
+            low, longest, lambda bound: _covered_on_a_ray(a, b, bound) and _covered_on_a_ray(b, a, bound)
+        )
     tree_a, tree_b = cKDTree(a), cKDTree(b)
     longest = max(_half(a).max(), _half(b).max())
-    return _least(low, float(longest), lambda bound: _covered(a, tree_b, bound) and _covered(b, tree_a, bound))
+    return _least(
+        low, float(longest), lambda bound: _covered(a, tree_b, bound) and _covered(b, tree_a, bound)
+    )
 
 
 def _half(bars: np.ndarray) -> np.ndarray:
@@ -89,7 +93,9 @@ def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
     if len(used) < len(needy):
         return False
     starts = np.concatenate([[0], np.cumsum(reach)]).astype(np.int32)
-    graph = csr_array((np.ones(len(columns), dtype=bool), columns.astype(np.int32), starts), shape=(len(needy), len(used)))
+    graph = csr_array(
+        (np.ones(len(columns), dtype=bool), columns.astype(np.int32), starts), shape=(len(needy), len(used))
+    )
     return bool((maximum_bipartite_matching(graph, perm_type="column") >= 0).all())
 
 

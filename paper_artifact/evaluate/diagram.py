@@ -23,10 +23,12 @@ def diagram_of(points: np.ndarray, diagonal: float, method: str = "fast") -> Dia
     method: "fast" (the artifact's own persistence) or "gudhi" (precision "safe"); both give the same bars.
     Raises InputError for a diagonal that is not positive, and what `alpha_persistence` raises for its points.
     """
-    from paper_artifact.topology.persistence import alpha_persistence  # compiled kernels: only when needed
+    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal")
+        raise InputError(
+            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
+        )
     pairs = alpha_persistence(np.ascontiguousarray(points, dtype=np.float64), method=method)
     return tuple(np.column_stack([each.births, each.deaths]) / float(diagonal) for each in pairs)
 

@@ -38,7 +38,9 @@ def point_distances(a: np.ndarray, b: np.ndarray, diagonal: float) -> dict[str, 
     """
     a, b = _checked(a, "first"), _checked(b, "second")
     if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal")
+        raise InputError(
+            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
+        )
     forward = cKDTree(b).query(a)[0] / diagonal
     backward = cKDTree(a).query(b)[0] / diagonal
     total = float(forward.mean() + backward.mean())
@@ -54,5 +56,7 @@ def _checked(points: np.ndarray, which: str) -> np.ndarray:
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise InputError(f"the {which} sample must have shape (n, 3) with n > 0, got {points.shape}")
     if not np.isfinite(points).all():
-        raise InputError(f"the {which} sample holds a coordinate that is not finite; the run that made it has diverged")
+        raise InputError(
+            f"the {which} sample holds a coordinate that is not finite; the run that made it has diverged"
+        )
     return points

@@ -33,7 +33,9 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
     """
     image, truth = _pair(image, truth)
     if min(image.shape[:2]) < WINDOW:
-        raise InputError(f"SSIM needs images of at least {WINDOW} pixels a side, got {image.shape[1]}×{image.shape[0]}")
+        raise InputError(
+            f"SSIM needs images of at least {WINDOW} pixels a side, got {image.shape[1]}×{image.shape[0]}"
+        )
     mean_x, mean_y = _blur(image), _blur(truth)
     var_x = _blur(image * image) - mean_x**2
     var_y = _blur(truth * truth) - mean_y**2
@@ -52,7 +54,9 @@ def image_scores(images: np.ndarray, truth: np.ndarray) -> dict:
     """
     images, truth = np.asarray(images), np.asarray(truth)
     if images.shape != truth.shape or images.ndim != 4 or not len(images):
-        raise InputError(f"image stacks must be equal and (n,H,W,3) with n > 0, got {images.shape} and {truth.shape}")
+        raise InputError(
+            f"image stacks must be equal and (n,H,W,3) with n > 0, got {images.shape} and {truth.shape}"
+        )
     views = [[psnr(one, other), ssim(one, other)] for one, other in zip(images, truth)]
     means = np.mean(views, axis=0)
     return {"psnr": float(means[0]), "ssim": float(means[1]), "views": views}
@@ -61,7 +65,9 @@ def image_scores(images: np.ndarray, truth: np.ndarray) -> dict:
 def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     image, truth = np.asarray(image, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if image.shape != truth.shape or image.ndim != 3:
-        raise InputError(f"the two images must have one shape (H,W,channels), got {image.shape} and {truth.shape}")
+        raise InputError(
+            f"the two images must have one shape (H,W,channels), got {image.shape} and {truth.shape}"
+        )
     return image, truth
 
 

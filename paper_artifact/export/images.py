@@ -22,7 +22,9 @@ def write_png(path: Path | str, image: np.ndarray) -> None:
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise InputError(f"an image has shape (H, W, 3) or (H, W, 4), got {image.shape}")
     if not np.isfinite(image).all():
-        raise InputError(f"the image for {path} holds values that are not finite; the soup it shows has diverged")
+        raise InputError(
+            f"the image for {path} holds values that are not finite; the soup it shows has diverged"
+        )
     buffer = io.BytesIO()
     Image.fromarray(np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(buffer, format="PNG")
     write_bytes(path, buffer.getvalue())
@@ -38,7 +40,9 @@ def sheet(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
         raise InputError(f"a sheet needs images of one shape, got {sorted(shapes)}")
     height, width, channels = shapes.pop()
     columns = max(len(row) for row in rows)
-    page = np.ones((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, channels), dtype=np.float32)
+    page = np.ones(
+        (len(rows) * (height + gap) - gap, columns * (width + gap) - gap, channels), dtype=np.float32
+    )
     for i, row in enumerate(rows):
         for j, image in enumerate(row):
             page[i * (height + gap) :, j * (width + gap) :][:height, :width] = image

@@ -10,7 +10,7 @@ from paper_artifact.mesh import Mesh
 from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.soup.state import Soup
-from paper_artifact.train.run import render_views
+from paper_artifact.pipeline import render_views
 
 
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
@@ -23,7 +23,9 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)
     cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
     cameras = fibonacci_cameras(cloud, count, size)
-    matrices = np.stack([world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]).astype(np.float32)
+    matrices = np.stack(
+        [world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]
+    ).astype(np.float32)
     scene = Scene(
         Path(),
         tuple(f"view {i}" for i in range(count)),

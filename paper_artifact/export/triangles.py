@@ -32,7 +32,9 @@ class Triangles:
         """Return the triangles whose mean opacity is at least `threshold`; InputError when none is left."""
         kept = self.opacity.mean(axis=1) >= threshold
         if not kept.any():
-            raise InputError(f"no triangle has an opacity of at least {threshold}: the soup looks empty; train it further")
+            raise InputError(
+                f"no triangle has an opacity of at least {threshold}: the soup looks empty; train it further"
+            )
         return Triangles(self.vertices[kept], self.colours[kept], self.opacity[kept])
 
 
@@ -44,9 +46,13 @@ def soup_triangles(soup: Soup) -> Triangles:
     """
     with torch.no_grad():
         vertices, features = soup.vertices.detach().cpu(), torch.sigmoid(soup.features.detach().cpu())
-        axes = torch.cat([torch.eye(3), torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3) / 3**0.5, -torch.eye(3)])
+        axes = torch.cat(
+            [torch.eye(3), torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3) / 3**0.5, -torch.eye(3)]
+        )
         normals = torch.linalg.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
-        weights = (torch.nn.functional.normalize(normals, dim=1) @ axes.T).abs() + 1e-6  # a triangle without area: all alike
+        weights = (
+            torch.nn.functional.normalize(normals, dim=1) @ axes.T
+        ).abs() + 1e-6  # a triangle without area: all alike
         weights = weights / weights.sum(dim=1, keepdim=True)
         w1, c1, w2, c2, w3, c3 = (tensor.detach().cpu() for tensor in soup.mlp)
         shaded = torch.zeros(len(vertices), 3, 3)

@@ -35,10 +35,14 @@ def html_page(parts: Mapping[str, Triangles], title: str) -> str:
         raise InputError("a 3-D view needs at least one set of triangles")
     count = sum(len(triangles) for triangles in shown.values())
     if count > MOST_TRIANGLES:
-        raise InputError(f"{count} triangles are too many for one page (at most {MOST_TRIANGLES}); simplify the mesh first")
+        raise InputError(
+            f"{count} triangles are too many for one page (at most {MOST_TRIANGLES}); simplify the mesh first"
+        )
     points = np.concatenate([triangles.vertices.reshape(-1, 3) for triangles in shown.values()])
     if not np.isfinite(points).all():
-        raise InputError("the triangles hold coordinates that are not finite; the run that made them has diverged")
+        raise InputError(
+            "the triangles hold coordinates that are not finite; the run that made them has diverged"
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     data = {
         "centre": [float(x) for x in (low + high) / 2],

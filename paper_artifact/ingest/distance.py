@@ -75,7 +75,10 @@ def _minimise(values, corners, band, cell):
                 point[second] = j
                 start, stop = low[inner], high[inner]
                 if length > 0:
-                    height = a[inner] - ((i - a[first]) * normal[first] + (j - a[second]) * normal[second]) / normal[inner]
+                    height = (
+                        a[inner]
+                        - ((i - a[first]) * normal[first] + (j - a[second]) * normal[second]) / normal[inner]
+                    )
                     half = band * length / abs(normal[inner]) + 1e-9
                     start = max(start, int(np.ceil(max(height - half, -1.0))))
                     stop = min(stop, int(np.floor(min(height + half, shape[inner] + 0.0))))
@@ -94,7 +97,11 @@ def squared_distance(p, a, b, c):
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    bb, cc, bc = abx * abx + aby * aby + abz * abz, acx * acx + acy * acy + acz * acz, abx * acx + aby * acy + abz * acz
+    bb, cc, bc = (
+        abx * abx + aby * aby + abz * abz,
+        acx * acx + acy * acy + acz * acz,
+        abx * acx + aby * acy + abz * acz,
+    )
     bp, cp = abx * apx + aby * apy + abz * apz, acx * apx + acy * apy + acz * apz
     determinant = bb * cc - bc * bc
     v, w = cc * bp - bc * cp, bb * cp - bc * bp

@@ -41,7 +41,10 @@ class RawPot:
         lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.vertices.tolist()]
         for number in range(int(self.shell.max()) + 1):
             lines.append(f"g shell_{number}")
-            lines += ["f " + " ".join(str(i + 1) for i in self.polygons[k]) for k in np.flatnonzero(self.shell == number)]
+            lines += [
+                "f " + " ".join(str(i + 1) for i in self.polygons[k])
+                for k in np.flatnonzero(self.shell == number)
+            ]
         return "\n".join(lines) + "\n"
 
     def mesh(self) -> Mesh:
@@ -53,7 +56,10 @@ class RawPot:
 def raw_pot() -> RawPot:
     """Build the raw pot: wall, floor, foot with a vent slot, flue chamber, flue neck, flue bottom, two handles, rolled rim."""
     shells = [
-        _revolve([(FLOOR_RADIUS, 0.0), (0.265, 0.055), (0.31, 0.11), (0.355, 0.165), (RIM_RADIUS, RIM_HEIGHT)], AROUND),
+        _revolve(
+            [(FLOOR_RADIUS, 0.0), (0.265, 0.055), (0.31, 0.11), (0.355, 0.165), (RIM_RADIUS, RIM_HEIGHT)],
+            AROUND,
+        ),
         _revolve([(FLOOR_RADIUS, 0.0), (0.16, 0.0), (0.10, 0.0), (0.05, 0.0)], AROUND),
         _revolve(
             [(FLOOR_RADIUS, 0.0), (0.223, -0.03), (0.227, -0.066), (0.23, -FOOT_DEPTH)],
@@ -61,7 +67,9 @@ def raw_pot() -> RawPot:
             leave_out={(1, 14), (1, 15), (1, 16)},
         ),
         _revolve([(FLUE_RADIUS, 0.0), (FLUE_RADIUS, FLUE_HEIGHT / 2), (FLUE_RADIUS, FLUE_HEIGHT)], SIDES),
-        _revolve([(FLUE_RADIUS, FLUE_HEIGHT), (MOUTH_RADIUS, SHOULDER_HEIGHT), (MOUTH_RADIUS, NECK_HEIGHT)], SIDES),
+        _revolve(
+            [(FLUE_RADIUS, FLUE_HEIGHT), (MOUTH_RADIUS, SHOULDER_HEIGHT), (MOUTH_RADIUS, NECK_HEIGHT)], SIDES
+        ),
         (_ring(FLUE_RADIUS, 0.0, SIDES), [tuple(range(SIDES))]),
         _handle(0.0),
         _handle(np.pi),
@@ -110,7 +118,10 @@ def _handle(direction: float):
     up = np.array([0.0, 0.0, 1.0])
     turn = 2 * np.pi * np.arange(SIDES) / SIDES
     points = np.concatenate(
-        [p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up)) for p, t in zip(path, tangent)]
+        [
+            p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up))
+            for p, t in zip(path, tangent)
+        ]
     )
     faces = [
         (b * SIDES + i, b * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + i)

@@ -87,7 +87,9 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     shell = checked_mesh(rounded, triangles, f"{mesh.name} shell")
     certificate = certify(shell.vertices, shell.faces, shell.name)
     shell = Mesh(shell.vertices, shell.faces, shell.name, certificate.betti if certificate.passed else None)
-    return Solid(shell, raw, certificate, float(epsilon), float(cell), tuple(int(n) for n in values.shape), pockets)
+    return Solid(
+        shell, raw, certificate, float(epsilon), float(cell), tuple(int(n) for n in values.shape), pockets
+    )
 
 
 def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.ndarray, int]:
@@ -100,5 +102,7 @@ def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.nd
     outside = values > iso
     labels, count = ndimage.label(outside)
     pocket = outside & (labels != labels[0, 0, 0])
-    values = np.where(outside & ~pocket, np.maximum(values, iso + nudge), np.minimum(values, iso - nudge)).astype(np.float32)
+    values = np.where(
+        outside & ~pocket, np.maximum(values, iso + nudge), np.minimum(values, iso - nudge)
+    ).astype(np.float32)
     return values, int(count) - 1

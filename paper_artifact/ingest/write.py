@@ -35,7 +35,9 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
         try:
             temporary.write_bytes(_encoded(shell, Path(path).suffix.lower()))
         except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror}; free some space, or choose another folder") from error
+            raise InputError(
+                f"cannot write {path}: {error.strerror}; free some space, or choose another folder"
+            ) from error
         again = load_mesh(temporary, welded=False)
         certificate = certify_mesh(Mesh(again.vertices, again.faces, Path(path).stem))
         if not np.array_equal(np.unique(again.vertices, axis=0), np.unique(shell.vertices, axis=0)):
@@ -51,6 +53,8 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
 def _encoded(shell: Mesh, ending: str) -> bytes:
     if ending == ".obj":
         points = [f"v {x} {y} {z}" for x, y, z in shell.vertices.astype(np.float32)]
-        return "\n".join(points + [f"f {a} {b} {c}" for a, b, c in (shell.faces + 1).tolist()] + [""]).encode()
+        return "\n".join(
+            points + [f"f {a} {b} {c}" for a, b, c in (shell.faces + 1).tolist()] + [""]
+        ).encode()
     mesh = trimesh.Trimesh(shell.vertices, shell.faces, process=False)
     return export_ply(mesh, vertex_normal=False) if ending == ".ply" else export_stl(mesh)

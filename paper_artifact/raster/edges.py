@@ -41,7 +41,9 @@ def _evaluate(coefficients, rectangles, t, first, column, row):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1, column1, row1, depth1, gx, gy, sx, sy):
+def _edge_side(
+    coefficients, rectangles, moments, t0, column0, row0, depth0, t1, column1, row1, depth1, gx, gy, sx, sy
+):
     # One pixel's view of the pair: the triangle t0 visible at pixel 0, against whatever (t1, or nothing: -1) pixel 1 shows.
     q0 = _evaluate(coefficients, rectangles, t0, 0, column1, row1)
     q1 = _evaluate(coefficients, rectangles, t0, 3, column1, row1)
@@ -70,9 +72,33 @@ def _edge_side(coefficients, rectangles, moments, t0, column0, row0, depth0, t1,
                         + coefficients[t0, 11] * (middle_row - rectangles[t0, 0])
                     )
                     if row0 == row1:
-                        _pull(moments, rectangles, t0, middle_column, middle_row, along, 0.0, depth_pull, z, sx, sy)
+                        _pull(
+                            moments,
+                            rectangles,
+                            t0,
+                            middle_column,
+                            middle_row,
+                            along,
+                            0.0,
+                            depth_pull,
+                            z,
+                            sx,
+                            sy,
+                        )
                     else:
-                        _pull(moments, rectangles, t0, middle_column, middle_row, 0.0, along, depth_pull, z, sx, sy)
+                        _pull(
+                            moments,
+                            rectangles,
+                            t0,
+                            middle_column,
+                            middle_row,
+                            0.0,
+                            along,
+                            depth_pull,
+                            z,
+                            sx,
+                            sy,
+                        )
         elif in_front:
             _pull(moments, rectangles, t0, middle_column, middle_row, gx, gy, 0.0, 0.0, sx, sy)
     elif in_front:
@@ -145,10 +171,32 @@ def edge_moments(triangle, depth, colour, gradient, height, width, coefficients,
     to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
     for row in range(height):
         start = row * width
-        _adjoints(colour[0], colour[1], colour[2], gradient[0], gradient[1], gradient[2], start, 1, width - 1, to_right)
+        _adjoints(
+            colour[0],
+            colour[1],
+            colour[2],
+            gradient[0],
+            gradient[1],
+            gradient[2],
+            start,
+            1,
+            width - 1,
+            to_right,
+        )
         to_right[width - 1] = np.float32(0.0)
         if row + 1 < height:
-            _adjoints(colour[0], colour[1], colour[2], gradient[0], gradient[1], gradient[2], start, width, width, downward)
+            _adjoints(
+                colour[0],
+                colour[1],
+                colour[2],
+                gradient[0],
+                gradient[1],
+                gradient[2],
+                start,
+                width,
+                width,
+                downward,
+            )
         else:
             downward[:] = np.float32(0.0)
         current = -1
@@ -263,7 +311,11 @@ def moments_to_vertices(moments, coefficients, rectangles, matrix, vertex_gradie
         if rectangles[t, 0] < 0:
             continue
         for corner in range(3):
-            a, b, c = coefficients[t, 3 * corner], coefficients[t, 3 * corner + 1], coefficients[t, 3 * corner + 2]
+            a, b, c = (
+                coefficients[t, 3 * corner],
+                coefficients[t, 3 * corner + 1],
+                coefficients[t, 3 * corner + 2],
+            )
             gx = a * moments[t, 0] + b * moments[t, 1] + c * moments[t, 2]
             gy = a * moments[t, 3] + b * moments[t, 4] + c * moments[t, 5]
             gz = a * moments[t, 6] + b * moments[t, 7] + c * moments[t, 8]
@@ -275,7 +327,9 @@ def moments_to_vertices(moments, coefficients, rectangles, matrix, vertex_gradie
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def opacity_backward(fragments, fragment_index, fragment_value, visible, depth, colour, target, weight, opacity_gradient):
+def opacity_backward(
+    fragments, fragment_index, fragment_value, visible, depth, colour, target, weight, opacity_gradient
+):
     """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
 
     With e = sum over channels of |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every

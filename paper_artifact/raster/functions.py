@@ -95,7 +95,9 @@ def rasterize(
     views = [buffers.view(index, height, width) for index in range(len(matrices))]
 
     def job(index: int) -> None:
-        views[index].draw(to_clip(corners, matrices[index]), faces, alpha, None if keys is None else keys[index])
+        views[index].draw(
+            to_clip(corners, matrices[index]), faces, alpha, None if keys is None else keys[index]
+        )
 
     run_jobs(job, len(views))
     return Raster(views, matrices, camera_rays(matrices), len(faces), height, width, buffers)
@@ -159,7 +161,9 @@ class _Shade(torch.autograd.Function):
         return (*(torch.from_numpy(output.sum(0)) for output in outputs), None, None)
 
 
-def shade(features: torch.Tensor, mlp: tuple[torch.Tensor, ...], raster: Raster, background: np.ndarray) -> torch.Tensor:
+def shade(
+    features: torch.Tensor, mlp: tuple[torch.Tensor, ...], raster: Raster, background: np.ndarray
+) -> torch.Tensor:
     """Return colour (B,3,H,W): features (T,3,7) in [0,1] interpolated and shaded where visible, background (3,) elsewhere.
 
     mlp = (w1 (16,16), c1 (16,), w2 (16,16), c2 (16,), w3 (3,16), c3 (3,)). Differentiable in features and mlp.
@@ -194,7 +198,9 @@ class _EdgeGradient(torch.autograd.Function):
                 view.rectangles,
                 moments,
             )
-            edges.moments_to_vertices(moments, view.coefficients, view.rectangles, raster.world_to_clip[index], out[index])
+            edges.moments_to_vertices(
+                moments, view.coefficients, view.rectangles, raster.world_to_clip[index], out[index]
+            )
 
         run_jobs(job, len(raster.views))
         return gradient, torch.from_numpy(out.sum(0)), None
@@ -236,7 +242,9 @@ class _OpacityGradient(torch.autograd.Function):
         return gradient * ctx.gradient, None, None, None
 
 
-def opacity_gradient(opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster) -> torch.Tensor:
+def opacity_gradient(
+    opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster
+) -> torch.Tensor:
     """Return a scalar 0 whose backward gives opacity (T,3) the masking gradient; colour and target (B,3,H,W) are not
     differentiated."""
     return _OpacityGradient.apply(opacity, colour.detach(), target, raster)

@@ -34,7 +34,9 @@ class _Workspace:
         self.raster = ViewRaster(height, width)
         self.colour = np.empty((3, height * width), np.float32)
         self.gradient = np.empty((3, height, width), np.float32)
-        self.activations = np.empty((-(-height * width // shading.BLOCK), shading.ROWS, shading.BLOCK), np.float32)
+        self.activations = np.empty(
+            (-(-height * width // shading.BLOCK), shading.ROWS, shading.BLOCK), np.float32
+        )
 
 
 class FusedStep:
@@ -101,7 +103,11 @@ class FusedStep:
                 space.colour,
             )
             loss = photometric.photometric_view(
-                space.colour.reshape(3, self.height, self.width), targets[index], *statistics[index], count, space.gradient
+                space.colour.reshape(3, self.height, self.width),
+                targets[index],
+                *statistics[index],
+                count,
+                space.gradient,
             )
             gradient = space.gradient.reshape(3, -1)
             edges.opacity_backward(
@@ -127,7 +133,9 @@ class FusedStep:
                 view.rectangles,
                 moments,
             )
-            edges.moments_to_vertices(moments, view.coefficients, view.rectangles, matrices[index], out[0][index])
+            edges.moments_to_vertices(
+                moments, view.coefficients, view.rectangles, matrices[index], out[0][index]
+            )
             shading.shade_backward(
                 view.pixels,
                 view.covered,
@@ -144,4 +152,6 @@ class FusedStep:
             return loss
 
         losses = run_jobs(job, count)
-        return sum(losses), Gradients(out[0].sum(0), out[1].sum(0), out[2].sum(0), tuple(array.sum(0) for array in out_mlp))
+        return sum(losses), Gradients(
+            out[0].sum(0), out[1].sum(0), out[2].sum(0), tuple(array.sum(0) for array in out_mlp)
+        )

@@ -15,7 +15,9 @@ L1_WEIGHT, SSIM_WEIGHT = 0.8, 0.2
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 _offsets = np.arange(TAPS) - RADIUS
-WINDOW = (np.exp(-(_offsets**2) / (2 * 1.5**2)) / np.exp(-(_offsets**2) / (2 * 1.5**2)).sum()).astype(np.float32)
+WINDOW = (np.exp(-(_offsets**2) / (2 * 1.5**2)) / np.exp(-(_offsets**2) / (2 * 1.5**2)).sum()).astype(
+    np.float32
+)
 _K0, _K1, _K2, _K3, _K4, _K5 = (np.float32(WINDOW[i]) for i in range(6))
 
 
@@ -35,7 +37,14 @@ def _blur(source, out, scratch, rows, columns):
             )
     for r in range(rows - 10):
         d = out[r]
-        s0, s1, s2, s3, s4, s5 = scratch[r], scratch[r + 1], scratch[r + 2], scratch[r + 3], scratch[r + 4], scratch[r + 5]
+        s0, s1, s2, s3, s4, s5 = (
+            scratch[r],
+            scratch[r + 1],
+            scratch[r + 2],
+            scratch[r + 3],
+            scratch[r + 4],
+            scratch[r + 5],
+        )
         s6, s7, s8, s9, s10 = scratch[r + 6], scratch[r + 7], scratch[r + 8], scratch[r + 9], scratch[r + 10]
         for c in range(columns - 10):
             d[c] = (
@@ -87,7 +96,13 @@ def _ssim_terms(mx, my, xx, yy, xy):
     structure = s_top * l_bottom * inverse
     value = l_top * s_bottom * inverse * structure
     # Partial derivatives of SSIM with respect to the windowed square and product of x; `over` is 1 / l_bottom.
-    return value, structure, -value * l_bottom * inverse, np.float32(2.0) * l_top * inverse, s_bottom * inverse
+    return (
+        value,
+        structure,
+        -value * l_bottom * inverse,
+        np.float32(2.0) * l_top * inverse,
+        s_bottom * inverse,
+    )
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -102,10 +117,14 @@ def _ssim_row(mean_x, mean_y, square_x, square_y, cross, by_mean, by_square, by_
         d_mean = np.float32(2.0) * (my * structure - mx * value) * over
         by_mean[c] = scale * (d_mean - np.float32(2.0) * mx * d_square - my * d_cross)
     for c in range(count):
-        value, structure, d_square, d_cross, over = _ssim_terms(mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c])
+        value, structure, d_square, d_cross, over = _ssim_terms(
+            mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c]
+        )
         by_square[c] = scale * d_square
     for c in range(count):
-        value, structure, d_square, d_cross, over = _ssim_terms(mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c])
+        value, structure, d_square, d_cross, over = _ssim_terms(
+            mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c]
+        )
         by_cross[c] = scale * d_cross
     return total
 
@@ -154,7 +173,16 @@ def photometric_view(colour, target, mean, square, views, gradient):
             a, b, xx, xy = mean_x[r], mean[channel, top + r, left : left + out_columns], square_x[r], cross[r]
             yy = square[channel, top + r, left : left + out_columns]
             missing += _ssim_row(
-                a, b, xx, yy, xy, padded[0, r + 10, 10:], padded[1, r + 10, 10:], padded[2, r + 10, 10:], out_columns, ssim_scale
+                a,
+                b,
+                xx,
+                yy,
+                xy,
+                padded[0, r + 10, 10:],
+                padded[1, r + 10, 10:],
+                padded[2, r + 10, 10:],
+                out_columns,
+                ssim_scale,
             )
         loss += 0.5 * SSIM_WEIGHT * missing / windows
         for k in range(3):

@@ -97,7 +97,9 @@ def _harmonics(pixels, start, count, width, height, rays, x, direction):
     for p in range(count):
         h5[p] = np.float32(-1.0925484305920792) * dy[p] * dz[p]
     for p in range(count):
-        h6[p] = np.float32(0.31539156525252005) * (np.float32(2.0) * dz[p] * dz[p] - dx[p] * dx[p] - dy[p] * dy[p])
+        h6[p] = np.float32(0.31539156525252005) * (
+            np.float32(2.0) * dz[p] * dz[p] - dx[p] * dx[p] - dy[p] * dy[p]
+        )
     for p in range(count):
         h7[p] = np.float32(-1.0925484305920792) * dx[p] * dz[p]
     for p in range(count):

@@ -35,7 +35,9 @@ def view_directions(world_to_clip: torch.Tensor, height: int, width: int) -> tor
     world_to_clip (B,4,4) must be perspective with w the depth in front of the camera. Along a viewing ray away from the
     camera, (clip x, clip y, w) grows in proportion to (x, y, 1), so the direction needs rows x, y, w only: no near or far.
     """
-    x, y = pixel_centres(torch.arange(height * width, device=world_to_clip.device), height, width, world_to_clip.dtype)
+    x, y = pixel_centres(
+        torch.arange(height * width, device=world_to_clip.device), height, width, world_to_clip.dtype
+    )
     inverse = torch.linalg.inv(world_to_clip[:, [0, 1, 3], :3])
     away = torch.einsum("bij,pj->bpi", inverse, torch.stack([x, y, torch.ones_like(x)], dim=-1))
     return -functional.normalize(away, dim=-1).reshape(-1, height, width, 3)
@@ -94,7 +96,9 @@ def shade(
     return image.reshape(views, height, width, 3).permute(0, 3, 1, 2)
 
 
-def opacity_gradient(opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster) -> torch.Tensor:
+def opacity_gradient(
+    opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster
+) -> torch.Tensor:
     """Return a scalar that is exactly 0 and whose gradient with respect to opacity (T,3) is DiffSoup's opacity path.
 
     colour and target are (B,3,H,W), both taken as constants; opacity (T,3) in [0, 1] must be the one rasterized. With
@@ -106,10 +110,14 @@ def opacity_gradient(opacity: torch.Tensor, colour: torch.Tensor, target: torch.
         error = (colour - target).abs().sum(1).reshape(-1)
         slot = raster.fragment_view * (height * width) + raster.fragment_pixel
         winner = raster.triangle.reshape(-1)[slot]
-        reached = torch.nonzero((winner == 0) | (raster.fragment_depth <= raster.depth.reshape(-1)[slot]))[:, 0]
+        reached = torch.nonzero((winner == 0) | (raster.fragment_depth <= raster.depth.reshape(-1)[slot]))[
+            :, 0
+        ]
         slot, winner, triangle = slot[reached], winner[reached], raster.fragment_triangle[reached]
         alpha = raster.fragment_alpha[reached]
-        factor = torch.where(winner == triangle + 1, 1 / alpha.clamp(min=1e-5), -1 / (1 - alpha).clamp(min=1e-5))
+        factor = torch.where(
+            winner == triangle + 1, 1 / alpha.clamp(min=1e-5), -1 / (1 - alpha).clamp(min=1e-5)
+        )
         factor = factor * error[slot] / (views * height * width * 3)
         b0, b1 = raster.fragment_b0[reached], raster.fragment_b1[reached]
         shares = factor[:, None] * torch.stack([b0, b1, 1 - b0 - b1], dim=-1)
@@ -118,7 +126,9 @@ def opacity_gradient(opacity: torch.Tensor, colour: torch.Tensor, target: torch.
     return value - value.detach()
 
 
-def edge_gradient(colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, world_to_clip: torch.Tensor) -> torch.Tensor:
+def edge_gradient(
+    colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, world_to_clip: torch.Tensor
+) -> torch.Tensor:
     """Return colour (B,3,H,W) unchanged; its backward adds the edge gradient of the vertices (T,3,3, world space).
 
     The gradient with respect to colour passes unchanged. For every covered pixel p and each of its four neighbours q, with
@@ -146,10 +156,17 @@ class _EdgeGradient(torch.autograd.Function):
         colour, vertices, world_to_clip = ctx.saved_tensors
         if not ctx.needs_input_grad[1]:
             return grad_colour, None, None, None
-        return grad_colour, _vertex_gradient(colour, grad_colour, vertices, ctx.raster, world_to_clip), None, None
+        return (
+            grad_colour,
+            _vertex_gradient(colour, grad_colour, vertices, ctx.raster, world_to_clip),
+            None,
+            None,
+        )
 
 
-def _pairs(colour: torch.Tensor, grad_colour: torch.Tensor, triangle: torch.Tensor) -> tuple[torch.Tensor, ...]:
+def _pairs(
+    colour: torch.Tensor, grad_colour: torch.Tensor, triangle: torch.Tensor
+) -> tuple[torch.Tensor, ...]:
     """Return (slot of p, slot of q, step x, step y, adjoint), each (N,), for covered pixels p and neighbours q with a ≠ 0.
 
     A slot is view·H·W + row·W + column.
@@ -158,7 +175,9 @@ def _pairs(colour: torch.Tensor, grad_colour: torch.Tensor, triangle: torch.Tens
     slot = torch.nonzero(triangle.reshape(-1))[:, 0]
     step = torch.tensor([[1, 0], [-1, 0], [0, -1], [0, 1]], device=triangle.device)
     column, row = slot % width + step[:, :1], slot // width % height + step[:, 1:]
-    direction, index = torch.nonzero((column >= 0) & (column < width) & (row >= 0) & (row < height), as_tuple=True)
+    direction, index = torch.nonzero(
+        (column >= 0) & (column < width) & (row >= 0) & (row < height), as_tuple=True
+    )
     p, step_x, step_y = slot[index], step[direction, 0], step[direction, 1]
     q = p + step_y * width + step_x
     c, g = (image.permute(0, 2, 3, 1).reshape(-1, image.shape[1]) for image in (colour, grad_colour))
@@ -176,7 +195,9 @@ def _crossing_motion(own: torch.Tensor, other: torch.Tensor, axis: torch.Tensor)
     def normal(corners: torch.Tensor) -> torch.Tensor:
         ndc = corners[..., :3] / corners[..., 3:]
         direction = torch.linalg.cross(ndc[:, 1] - ndc[:, 0], ndc[:, 2] - ndc[:, 0])
-        return functional.normalize(torch.stack([direction.gather(1, axis[:, None])[:, 0], direction[:, 2]], -1), dim=-1)
+        return functional.normalize(
+            torch.stack([direction.gather(1, axis[:, None])[:, 0], direction[:, 2]], -1), dim=-1
+        )
 
     moving, fixed = normal(own), normal(other)
     along = torch.stack([-fixed[:, 1], fixed[:, 0]], dim=-1)
@@ -188,7 +209,9 @@ def _crossing_motion(own: torch.Tensor, other: torch.Tensor, axis: torch.Tensor)
     return result.scatter(1, axis[:, None], motion[:, :1])
 
 
-def _border_crossing(own: torch.Tensor, weights_p: torch.Tensor, weights_q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _border_crossing(
+    own: torch.Tensor, weights_p: torch.Tensor, weights_q: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return (weights (N,3), fraction (N,)) where the segment from p (inside) to q (outside) first leaves the triangle.
 
     weights_p, weights_q (N,3) are λ_i / w_i, which are linear along the segment; the corner opposite the crossed edge gets
@@ -197,12 +220,18 @@ def _border_crossing(own: torch.Tensor, weights_p: torch.Tensor, weights_q: torc
     inside = weights_p.clamp(min=0)
     fraction = torch.where(weights_q < 0, inside / (inside - weights_q), torch.inf)
     first, corner = fraction.min(dim=-1)
-    weights = (weights_p + first[:, None] * (weights_q - weights_p)).clamp(min=0).scatter(1, corner[:, None], 0.0)
+    weights = (
+        (weights_p + first[:, None] * (weights_q - weights_p)).clamp(min=0).scatter(1, corner[:, None], 0.0)
+    )
     return weights / (weights * own[..., 3]).sum(-1, keepdim=True), first
 
 
 def _vertex_gradient(
-    colour: torch.Tensor, grad_colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, world_to_clip: torch.Tensor
+    colour: torch.Tensor,
+    grad_colour: torch.Tensor,
+    vertices: torch.Tensor,
+    raster: Raster,
+    world_to_clip: torch.Tensor,
 ) -> torch.Tensor:
     """Return the edge gradient (T,3,3) in world space; see `edge_gradient`."""
     views, height, width = raster.triangle.shape
@@ -242,7 +271,9 @@ def _vertex_gradient(
     push = torch.cat([push, -(push * point).sum(-1, keepdim=True)], dim=-1)
     used = torch.nonzero(midpoint | border | intersection)[:, 0]
     shares = weights[used, :, None] * push[used, None, :]
-    flat = clip.new_zeros(clip.shape[0] * clip.shape[1], 3, 4).index_add_(0, view[used] * clip.shape[1] + own_index[used], shares)
+    flat = clip.new_zeros(clip.shape[0] * clip.shape[1], 3, 4).index_add_(
+        0, view[used] * clip.shape[1] + own_index[used], shares
+    )
     return torch.einsum("btir,brk->tik", flat.reshape(clip.shape), world_to_clip[:, :, :3])
 
 

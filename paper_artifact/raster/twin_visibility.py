@@ -46,13 +46,17 @@ def to_clip(vertices: torch.Tensor, world_to_clip: torch.Tensor) -> torch.Tensor
     return rotated + world_to_clip[:, None, None, :, 3]
 
 
-def pixel_centres(pixel: torch.Tensor, height: int, width: int, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+def pixel_centres(
+    pixel: torch.Tensor, height: int, width: int, dtype: torch.dtype
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the NDC x and y (same shape as `pixel`) of row-major pixel indices in an image of height × width."""
     column, row = pixel % width, pixel // width
     return (2 * column + 1).to(dtype) / width - 1, (2 * row + 1).to(dtype) / height - 1
 
 
-def corner_weights(corners: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def corner_weights(
+    corners: torch.Tensor, x: torch.Tensor, y: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return (weights (F,3), inside (F,) bool) of the NDC point (x, y) in the triangle with clip corners (F,3,4).
 
     weights_i = λ_i / w_i, λ the affine screen-space barycentrics. From it everything else follows: Σ weights = 1/w,
@@ -71,7 +75,9 @@ def corner_weights(corners: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> t
     return weights, sized & (weights >= 0).all(-1)
 
 
-def _candidates(clip: torch.Tensor, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _candidates(
+    clip: torch.Tensor, height: int, width: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return (view, triangle, pixel), each (N,) int64: all pixels in the bounding boxes of triangles worth testing.
 
     Skipped: triangles with a corner at w <= 0 (or not finite) and triangles with all corners beyond one clip plane.
@@ -95,7 +101,9 @@ def _candidates(clip: torch.Tensor, height: int, width: int) -> tuple[torch.Tens
     return owner // triangles, owner % triangles, row * width + column
 
 
-def _thresholds(keys: list[int] | None, view: torch.Tensor, pixel: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:
+def _thresholds(
+    keys: list[int] | None, view: torch.Tensor, pixel: torch.Tensor, triangle: torch.Tensor
+) -> torch.Tensor:
     """Return each fragment's opacity threshold (F,) float64: its uniform draw, or .5 everywhere when keys is None."""
     thresholds = torch.full(view.shape, 0.5, dtype=torch.float64, device=view.device)
     for index, key in enumerate(keys or []):
@@ -116,7 +124,12 @@ def _winners(slot: torch.Tensor, depth: torch.Tensor, triangle: torch.Tensor, sl
 
 @torch.no_grad()
 def rasterize(
-    vertices: torch.Tensor, opacity: torch.Tensor, world_to_clip: torch.Tensor, height: int, width: int, keys: list[int] | None
+    vertices: torch.Tensor,
+    opacity: torch.Tensor,
+    world_to_clip: torch.Tensor,
+    height: int,
+    width: int,
+    keys: list[int] | None,
 ) -> Raster:
     """Return the `Raster` of a soup in B views of height × width pixels.
 
@@ -127,7 +140,9 @@ def rasterize(
     Raises InputError when shapes, dtypes or the number of keys do not fit together.
     """
     if vertices.dim() != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
-        raise InputError(f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and {tuple(opacity.shape)}")
+        raise InputError(
+            f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and {tuple(opacity.shape)}"
+        )
     if world_to_clip.dim() != 3 or world_to_clip.shape[1:] != (4, 4) or world_to_clip.dtype != vertices.dtype:
         raise InputError(
             f"world_to_clip must be (B,4,4) of the vertices' dtype {vertices.dtype}, "
@@ -143,7 +158,9 @@ def rasterize(
     weights, inside = corner_weights(corners, *pixel_centres(pixel, height, width, clip.dtype))
     depth = (weights * corners[..., 2]).sum(-1)
     covered = torch.nonzero(inside & (depth >= -1) & (depth <= 1))[:, 0]
-    view, triangle, pixel, depth, weights = (part[covered] for part in (view, triangle, pixel, depth, weights))
+    view, triangle, pixel, depth, weights = (
+        part[covered] for part in (view, triangle, pixel, depth, weights)
+    )
     barycentrics = weights / weights.sum(-1, keepdim=True)
     alpha = (opacity[triangle] * barycentrics).sum(-1)
 
@@ -156,4 +173,6 @@ def rasterize(
         return values.new_zeros(slots).index_put_((slot[best],), values[best]).reshape(views, height, width)
 
     b0, b1 = barycentrics[:, 0], barycentrics[:, 1]
-    return Raster(image(triangle + 1), image(b0), image(b1), image(depth), view, pixel, triangle, b0, b1, depth, alpha)
+    return Raster(
+        image(triangle + 1), image(b0), image(b1), image(depth), view, pixel, triangle, b0, b1, depth, alpha
+    )

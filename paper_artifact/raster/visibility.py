@@ -103,7 +103,18 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def raster_fragments(
-    order, kept, coefficients, rectangles, opacity, width, key, stochastic, depth, visible, fragment_index, fragment_value
+    order,
+    kept,
+    coefficients,
+    rectangles,
+    opacity,
+    width,
+    key,
+    stochastic,
+    depth,
+    visible,
+    fragment_index,
+    fragment_value,
 ):
     """Draw fragments front to back; return how many there were (more than the buffers hold: call again with larger ones).
 
@@ -196,7 +207,10 @@ def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     clip = np.empty((len(corners), 4), np.float32)
     for row in range(4):
         clip[:, row] = (
-            corners[:, 0] * matrix[row, 0] + corners[:, 1] * matrix[row, 1] + corners[:, 2] * matrix[row, 2] + matrix[row, 3]
+            corners[:, 0] * matrix[row, 0]
+            + corners[:, 1] * matrix[row, 1]
+            + corners[:, 2] * matrix[row, 2]
+            + matrix[row, 3]
         )
     return clip
 
@@ -234,7 +248,9 @@ class ViewRaster:
             self.coefficients = np.empty((room, 12), np.float32)
             self.rectangles = np.empty((room, 4), np.int32)
             self.order = np.empty(room, np.int32)
-        kept = set_up_triangles(clip, faces, self.height, self.width, self.coefficients, self.rectangles, self.order)
+        kept = set_up_triangles(
+            clip, faces, self.height, self.width, self.coefficients, self.rectangles, self.order
+        )
         while True:
             self.depth.fill(np.inf)
             self.visible.fill(-1)

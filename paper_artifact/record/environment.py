@@ -15,7 +15,10 @@ LIBRARIES = ("numpy", "scipy", "numba", "torch", "gudhi", "trimesh", "pillow")
 
 def packages() -> dict[str, str | None]:
     """Return the versions of Python, this package and the libraries that decide a run's numbers; None where absent."""
-    versions: dict[str, str | None] = {"python": platform.python_version(), "paper_artifact": paper_artifact.__version__}
+    versions: dict[str, str | None] = {
+        "python": platform.python_version(),
+        "paper_artifact": paper_artifact.__version__,
+    }
     for name in LIBRARIES:
         try:
             versions[name] = metadata.version(name)

@@ -32,7 +32,11 @@ def unpack(value: Any) -> Any:
     if "#lists" in value:
         return [list(cells) for cells in zip(*(unpack(column) for column in value["#lists"]), strict=True)]
     if "#mixed" in value:
-        placed = {place: item for places, items in value["#mixed"] for place, item in zip(places, unpack(items), strict=True)}
+        placed = {
+            place: item
+            for places, items in value["#mixed"]
+            for place, item in zip(places, unpack(items), strict=True)
+        }
         return [placed[place] for place in range(len(placed))]
     return {key: unpack(item) for key, item in value.items()}
 
@@ -49,9 +53,17 @@ def _column(values: list) -> Any:
         if len(kinds) == 1:
             return {"#table": {key: _column([item[key] for item in values]) for key in values[0]}}
         if len(kinds) <= len(values) // 2:
-            return {"#mixed": [[places, _column([values[place] for place in places])] for places in kinds.values()]}
+            return {
+                "#mixed": [
+                    [places, _column([values[place] for place in places])] for places in kinds.values()
+                ]
+            }
     if all(isinstance(item, list) for item in values):
         lengths = {len(item) for item in values}
-        if len(lengths) == 1 and lengths != {0} and any(isinstance(cell, (dict, list)) for item in values for cell in item):
+        if (
+            len(lengths) == 1
+            and lengths != {0}
+            and any(isinstance(cell, (dict, list)) for item in values for cell in item)
+        ):
             return {"#lists": [_column([item[place] for item in values]) for place in range(len(values[0]))]}
     return [pack(item) for item in values]

@@ -18,7 +18,7 @@ from paper_artifact.report.published import published
 from paper_artifact.report.runs import RETRAINED, Collected, collect, dump_table, loss_table, soup_path
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.train.config import default_config
-from paper_artifact.train.run import find_mesh, prepare_scene, render_views, run
+from paper_artifact.pipeline import find_mesh, prepare_scene, render_views, run
 
 # What a short run of 300 steps reaches with a wide margin. Only "above or below" is compared between machines:
 # compiled kernels may differ in the last bit from one kind of CPU to another, and training amplifies that.
@@ -36,7 +36,9 @@ class Reconstruction:
     renders: np.ndarray
 
 
-def reconstruct(shapes: Sequence[str], profile: str, seed: int, steps: int, size: int) -> tuple[Reconstruction, ...]:
+def reconstruct(
+    shapes: Sequence[str], profile: str, seed: int, steps: int, size: int
+) -> tuple[Reconstruction, ...]:
     """Train C0 on each shape and return the soups with their held-out views.
 
     profile "recorded": short runs of `steps` steps on `size` px views in a temporary folder (seconds); "full": the study's runs
@@ -48,12 +50,17 @@ def reconstruct(shapes: Sequence[str], profile: str, seed: int, steps: int, size
             if profile == "full":
                 results, config = RETRAINED, default_config(shape, seed=seed)
             else:
-                results, config = Path(temporary), default_config(shape, seed=seed, steps=steps, size=size, dump_steps=(steps,))
+                results, config = (
+                    Path(temporary),
+                    default_config(shape, seed=seed, steps=steps, size=size, dump_steps=(steps,)),
+                )
             record = run(config, mesh=mesh, results=results)
             scene = prepare_scene(config, mesh, results / "scenes")
             soup = load_soup(soup_path(record, results))
             made.append(
-                Reconstruction(shape, record, soup, scene.images[scene.holdout], render_views(soup, scene, scene.holdout))
+                Reconstruction(
+                    shape, record, soup, scene.images[scene.holdout], render_views(soup, scene, scene.holdout)
+                )
             )
     return tuple(made)
 
@@ -81,7 +88,8 @@ def check_table(runs: Iterable[Reconstruction]) -> pd.DataFrame:
                 < CHECKS["loss, last tenth / first tenth"],
                 f"held-out PSNR > {CHECKS['PSNR dB']:g} dB": scores["psnr"] > CHECKS["PSNR dB"],
                 f"held-out SSIM > {CHECKS['SSIM']:g}": scores["ssim"] > CHECKS["SSIM"],
-                f"Chamfer < {CHECKS['Chamfer %']:g} %": 100 * each.record["dumps"][-1]["chamfer"] < CHECKS["Chamfer %"],
+                f"Chamfer < {CHECKS['Chamfer %']:g} %": 100 * each.record["dumps"][-1]["chamfer"]
+                < CHECKS["Chamfer %"],
             }
         )
     return pd.DataFrame(rows).set_index("shape")
@@ -138,7 +146,8 @@ def seed_table(collected: Collected) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(
-        rows, columns=["shape", "seed", "dimension", "tail", "counts", "Chamfer %", "PSNR dB", "SSIM", "triangles"]
+        rows,
+        columns=["shape", "seed", "dimension", "tail", "counts", "Chamfer %", "PSNR dB", "SSIM", "triangles"],
     )
 
 
@@ -148,10 +157,17 @@ def trajectory_figure(collected: Collected) -> Figure:
     losses, dumps = loss_table(records), dump_table(records)
     figure, axes = new_figure(1, 3, 3.6, 2.7)
     for number, shape in enumerate(dict.fromkeys(dumps["shape"])):
-        for axis, table, value in zip(axes[0], (losses, dumps, dumps), ("loss", "chamfer %", "bottleneck"), strict=True):
+        for axis, table, value in zip(
+            axes[0], (losses, dumps, dumps), ("loss", "chamfer %", "bottleneck"), strict=True
+        ):
             draw_band(axis, table[table["shape"] == shape], value, shape, f"C{number}")
     for axis, title in zip(
-        axes[0], ("photometric loss (log)", "Chamfer, % of the diagonal (log)", "bottleneck, discriminating dimension")
+        axes[0],
+        (
+            "photometric loss (log)",
+            "Chamfer, % of the diagonal (log)",
+            "bottleneck, discriminating dimension",
+        ),
     ):
         axis.set_title(title, fontsize=9)
         axis.set_xlabel("step")
@@ -189,7 +205,9 @@ def beside_paper(collected: Collected) -> pd.DataFrame:
     paper = pd.concat([published("1"), published("2")])
     paper = paper[(paper["condition"] == "C0") & (paper["quantity"] == "tail_bottleneck")].set_index("shape")
     chamfers = published("chamfer")
-    chamfers = chamfers[(chamfers["condition"] == "C0") & (chamfers["quantity"] == "chamfer_percent")].set_index("shape")["value"]
+    chamfers = chamfers[
+        (chamfers["condition"] == "C0") & (chamfers["quantity"] == "chamfer_percent")
+    ].set_index("shape")["value"]
     ours = seed_table(collected)
     rows = []
     for shape, group in ours.groupby("shape", sort=False):

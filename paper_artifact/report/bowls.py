@@ -19,7 +19,7 @@ from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import counts, signature_table, staircase, surface
 from paper_artifact.scene.shapes import BOWL_RIMS
-from paper_artifact.study.protocol import protocol_of
+from paper_artifact.catalogue import protocol_of
 from paper_artifact.study.tables import counts_text, published_rows, tails_text
 from paper_artifact.study.verdict import rows_of, verdict
 from paper_artifact.topology.bundle import build_from_mesh
@@ -33,7 +33,9 @@ CONDITIONS = ("C0", "C1", "C2")
 def opening(mesh: Mesh) -> np.ndarray:
     """Return the distances (n,) of the rim's vertices from the z axis, in units of the sphere's radius (the farthest vertex's
     distance from the origin); the rim are the vertices of edges with one face."""
-    pairs = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
+    pairs = np.sort(
+        np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1
+    )
     edges, uses = np.unique(pairs, axis=0, return_counts=True)
     rim = mesh.vertices[np.unique(edges[uses == 1])]
     return np.linalg.norm(rim[:, :2], axis=1) / np.linalg.norm(mesh.vertices, axis=1).max()
@@ -74,7 +76,9 @@ def bowl_figure(size: int = 220) -> Figure:
 
 def staircases(seeds: Iterable[int] = SEEDS) -> pd.DataFrame:
     """Return the bowls' staircases (see `staircase.staircase`); five seeds take about 5 s of CPU."""
-    return pd.concat([staircase(surface(shape), DENSITIES, tuple(seeds)) for shape in SHAPES], ignore_index=True)
+    return pd.concat(
+        [staircase(surface(shape), DENSITIES, tuple(seeds)) for shape in SHAPES], ignore_index=True
+    )
 
 
 def margin_table(table: pd.DataFrame) -> pd.DataFrame:
@@ -102,7 +106,12 @@ def bundle_table() -> pd.DataFrame:
     for shape in SHAPES:
         protocol, mesh = protocol_of(shape), surface(shape)
         bundle = build_from_mesh(
-            mesh.vertices, mesh.faces, protocol.samples, protocol.seed, shape=shape, dimensions=protocol.dimensions
+            mesh.vertices,
+            mesh.faces,
+            protocol.samples,
+            protocol.seed,
+            shape=shape,
+            dimensions=protocol.dimensions,
         ).to_json()
         (birth, death), *others = bundle["bars"][2]
         rows.append(
@@ -133,7 +142,9 @@ def outcome_table(collected: Collected, table: pd.DataFrame) -> pd.DataFrame:
         arms = judged[shape].arms if shape in judged else {}
         for condition in CONDITIONS:
             arm, base = arms.get(condition), arms.get("C0")
-            printed = paper[(paper["shape"] == shape) & (paper["condition"] == condition) & paper["seed"].notna()]
+            printed = paper[
+                (paper["shape"] == shape) & (paper["condition"] == condition) & paper["seed"].notna()
+            ]
             rows.append(
                 {
                     "bowl": shape,
@@ -161,7 +172,12 @@ def verdict_table(collected: Collected, table: pd.DataFrame) -> pd.DataFrame:
     theirs = verdict(published_rows(published("S10")))
     rows = []
     for shape, each in judged.items():
-        row = {"bowl": shape, "verdict": each.outcome, "reason": each.reason, "paper's tails give": theirs[shape].outcome}
+        row = {
+            "bowl": shape,
+            "verdict": each.outcome,
+            "reason": each.reason,
+            "paper's tails give": theirs[shape].outcome,
+        }
         for condition in (name for name in ("C1", "C2") if name in each.arms):
             arm = each.arms[condition]
             wrong = [seed for seed, count in zip(arm.seeds, arm.counts) if count != expected[shape]]

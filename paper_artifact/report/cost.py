@@ -18,8 +18,8 @@ from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import surface
 from paper_artifact.sampling import sample_surface
-from paper_artifact.topology.benchmark import CLOUDS as DRAWN
-from paper_artifact.topology.benchmark import growth_exponent, persistence_rows
+from paper_artifact.bench.persistence import CLOUDS as DRAWN
+from paper_artifact.bench.persistence import growth_exponent, persistence_rows
 
 SIZES = (2048, 4096, 8192, 20_000)
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
@@ -52,7 +52,9 @@ def measure_all(
             if progress is not None:
                 progress(f"{cloud}, M = {size}")
     versions = packages()
-    return pd.DataFrame(rows).assign(repetitions=repetitions, cpu=host()["cpu"], gudhi=versions["gudhi"], numba=versions["numba"])
+    return pd.DataFrame(rows).assign(
+        repetitions=repetitions, cpu=host()["cpu"], gudhi=versions["gudhi"], numba=versions["numba"]
+    )
 
 
 def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
@@ -62,9 +64,14 @@ def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
     for cloud, group in stored.groupby("cloud", sort=False):
         lines = group.to_dict("records")
         names = {"ours": "fast_ms", "gudhi": "gudhi_ms", "tetrahedra": "tetrahedra"}
-        rows[cloud] = {f"exponent, {name}": round(growth_exponent(lines, key), 2) for name, key in names.items()}
+        rows[cloud] = {
+            f"exponent, {name}": round(growth_exponent(lines, key), 2) for name, key in names.items()
+        }
         ends = (lines[0], lines[-1])
-        rows[cloud] |= {f"tetrahedra per point, M = {line['M']}": round(line["tetrahedra"] / line["M"], 1) for line in ends}
+        rows[cloud] |= {
+            f"tetrahedra per point, M = {line['M']}": round(line["tetrahedra"] / line["M"], 1)
+            for line in ends
+        }
         rows[cloud] |= {f"gudhi / ours, M = {line['M']}": round(line["ratio"], 1) for line in ends}
         rows[cloud] |= {"cloud": CLOUDS[cloud][0] if cloud in CLOUDS else cloud}
     return pd.DataFrame.from_dict(rows, orient="index")
@@ -74,7 +81,9 @@ def beside_paper(stored: pd.DataFrame) -> pd.DataFrame:
     """Return time per persistence step against M, torus cloud: ours, gudhi `safe` in the same process, their ratio, and the
     paper's (gudhi on its machine); last line: the growth exponent p of time ~ M^p from the smallest to the largest M."""
     paper = published("cost")
-    paper = paper[paper["quantity"] == "persistence_ms"].astype({"samples": int}).set_index("samples")["value"]
+    paper = (
+        paper[paper["quantity"] == "persistence_ms"].astype({"samples": int}).set_index("samples")["value"]
+    )
     stored = torus_rows(stored)
     table = pd.DataFrame(
         {
@@ -123,12 +132,31 @@ def cost_figure(stored: pd.DataFrame) -> Figure:
     figure, axes = new_figure(1, 1, 4.6, 3.4)
     axis, paper = axes[0][0], published("cost")
     paper = paper[paper["quantity"] == "persistence_ms"].astype({"samples": float})
-    axis.plot(stored["M"], stored["gudhi_ms"], color="#c0392b", marker="o", markersize=4, label="gudhi safe, same process")
-    axis.plot(paper["samples"], paper["value"], color="#555555", marker="x", markersize=5, label="paper (gudhi, its machine)")
+    axis.plot(
+        stored["M"],
+        stored["gudhi_ms"],
+        color="#c0392b",
+        marker="o",
+        markersize=4,
+        label="gudhi safe, same process",
+    )
+    axis.plot(
+        paper["samples"],
+        paper["value"],
+        color="#555555",
+        marker="x",
+        markersize=5,
+        label="paper (gudhi, its machine)",
+    )
     axis.plot(stored["M"], stored["fast_ms"], color="#1f5fbf", marker="o", markersize=4, label="ours")
     ends = np.array([stored["M"].min(), stored["M"].max()], dtype=float)
     axis.plot(
-        ends, stored["fast_ms"].iloc[0] * ends / ends[0] * 0.8, color="black", linestyle=":", linewidth=0.9, label="slope 1"
+        ends,
+        stored["fast_ms"].iloc[0] * ends / ends[0] * 0.8,
+        color="black",
+        linestyle=":",
+        linewidth=0.9,
+        label="slope 1",
     )
     axis.set(xscale="log", yscale="log", xlabel="samples M", ylabel="CPU ms per persistence step")
     axis.set_xticks(list(stored["M"]), [str(size) for size in stored["M"]])
@@ -150,7 +178,11 @@ def share_table(collected: Collected) -> pd.DataFrame:
     included) under C0 and C1; beside the paper's. Means over seeds. Evaluation is the study's cost, not the method's, and left
     out of the percentages."""
     paper = published("cost").set_index("quantity")["value"]
-    low, high, own = paper["photometric_seconds_low"], paper["photometric_seconds_high"], paper["loss_seconds_per_run"]
+    low, high, own = (
+        paper["photometric_seconds_low"],
+        paper["photometric_seconds_high"],
+        paper["loss_seconds_per_run"],
+    )
     rows = []
     for shape in dict.fromkeys(record["config"]["shape"] for record in collected.records):
         baseline, loss = collected.of(shape, "C0"), collected.of(shape, "C1")
@@ -165,7 +197,8 @@ def share_table(collected: Collected) -> pd.DataFrame:
         }
         groups = {"C0": baseline, "C1": loss}
         row |= {
-            f"CPU s {name}": round(float(np.mean([record["cpu_seconds"] for record in group]))) for name, group in groups.items()
+            f"CPU s {name}": round(float(np.mean([record["cpu_seconds"] for record in group])))
+            for name, group in groups.items()
         }
         row |= {
             f"peak MiB {name}": round(float(np.mean([record["host"]["peak_memory_mib"] for record in group])))
@@ -180,9 +213,13 @@ def share_table(collected: Collected) -> pd.DataFrame:
         "CPU s C1": f"{low + own:.0f}–{high + own:.0f}",
     }
     return (
-        pd.concat([pd.DataFrame(rows).astype(object), pd.DataFrame([printed])], ignore_index=True).fillna("").set_index("shape")
+        pd.concat([pd.DataFrame(rows).astype(object), pd.DataFrame([printed])], ignore_index=True)
+        .fillna("")
+        .set_index("shape")
     )
 
 
 def _photometric(record: dict) -> float:
-    return sum(seconds for stage, seconds in record["timings"].items() if stage not in ("evaluate", "topology"))
+    return sum(
+        seconds for stage, seconds in record["timings"].items() if stage not in ("evaluate", "topology")
+    )

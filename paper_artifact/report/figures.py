@@ -29,7 +29,13 @@ COLOURS = {
 def new_figure(rows: int, columns: int, width: float, height: float, **options) -> tuple[Figure, np.ndarray]:
     """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes in inches."""
     figure, axes = plt.subplots(
-        rows, columns, figsize=(width * columns, height * rows), dpi=DPI, squeeze=False, layout="constrained", **options
+        rows,
+        columns,
+        figsize=(width * columns, height * rows),
+        dpi=DPI,
+        squeeze=False,
+        layout="constrained",
+        **options,
     )
     plt.close(figure)  # the notebook shows what a cell returns; an open figure would be shown a second time
     return figure, axes
@@ -57,7 +63,12 @@ def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: s
 
 
 def draw_diagram(
-    axis: Axes, bars: np.ndarray, floor: float, limit: float, target: np.ndarray | None = None, title: str = ""
+    axis: Axes,
+    bars: np.ndarray,
+    floor: float,
+    limit: float,
+    target: np.ndarray | None = None,
+    title: str = "",
 ) -> None:
     """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large
     dots), and the target's bars as stars."""
@@ -68,24 +79,24 @@ def draw_diagram(
     axis.scatter(bars[~above, 0], bars[~above, 1], s=5, color="#7fa8dc", linewidths=0)
     axis.scatter(bars[above, 0], bars[above, 1], s=26, color="#1f5fbf", linewidths=0)
     if target is not None and len(target):
-        axis.scatter(target[:, 0], target[:, 1], marker="*", s=110, facecolor="none", edgecolor="#c0392b", linewidths=1)
+        axis.scatter(
+            target[:, 0], target[:, 1], marker="*", s=110, facecolor="none", edgecolor="#c0392b", linewidths=1
+        )
     axis.set(xlim=(-margin, limit), ylim=(-margin, limit), aspect="equal")
     axis.set_title(title, fontsize=8)
     axis.tick_params(labelsize=6)
 
 
 def draw_cloud(
-    axis: Axes,
-    points: np.ndarray,
-    title: str,
-    axes: tuple[int, int] = (0, 2),
-    limits: tuple | None = None,
+    axis: Axes, points: np.ndarray, title: str, axes: tuple[int, int] = (0, 2), limits: tuple | None = None
 ) -> None:
     """Draw points (n,3) projected on two coordinate axes, coloured by the third (dark: far)."""
     depth = ({0, 1, 2} - set(axes)).pop()
     order = np.argsort(-points[:, depth])
     chosen = points[order]
-    axis.scatter(chosen[:, axes[0]], chosen[:, axes[1]], c=-chosen[:, depth], cmap="viridis", s=2.5, linewidths=0)
+    axis.scatter(
+        chosen[:, axes[0]], chosen[:, axes[1]], c=-chosen[:, depth], cmap="viridis", s=2.5, linewidths=0
+    )
     axis.set_aspect("equal")
     axis.set_title(title, fontsize=8)
     axis.tick_params(labelsize=6)

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_artifact.evaluate.diagram import diagram_of, significant_counts
-from paper_artifact.evaluate.evaluate import DISCRIMINATING, SAMPLES, soup_samples
+from paper_artifact.evaluate.scores import DISCRIMINATING, SAMPLES, soup_samples
 from paper_artifact.export.triangles import THRESHOLD, soup_triangles
 from paper_artifact.files import RESULTS
 from paper_artifact.randomness import stream
@@ -60,11 +60,17 @@ def soup_picture(soup: Soup, shape: str, size: int = 200) -> np.ndarray:
     corners = soup_triangles(soup).visible(THRESHOLD).vertices
     direction, up = VIEWS[shape]
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    return render_flat(corners.reshape(-1, 3), faces, size, direction=direction, up=up, frame=surface(shape).vertices)
+    return render_flat(
+        corners.reshape(-1, 3), faces, size, direction=direction, up=up, frame=surface(shape).vertices
+    )
 
 
 def gallery_figure(
-    collected: Collected, shapes: Sequence[str] = SHAPES, seed: int = 0, profile: str = "recorded", size: int = 200
+    collected: Collected,
+    shapes: Sequence[str] = SHAPES,
+    seed: int = 0,
+    profile: str = "recorded",
+    size: int = 200,
 ) -> Figure:
     """Return one row per shape: ground truth, C0, C2, C1; badge: measured count in the discriminating dimension at step 2500
     (20,000 samples), blue outline where it is the bundle's, filled orange where it is not."""
@@ -73,7 +79,9 @@ def gallery_figure(
         dimension, expected = DISCRIMINATING[shape], expected_count(shape)
         direction, up = VIEWS[shape]
         mesh = surface(shape)
-        _show(line[0], render_flat(mesh.vertices, mesh.faces, size, direction=direction, up=up), "ground truth")
+        _show(
+            line[0], render_flat(mesh.vertices, mesh.faces, size, direction=direction, up=up), "ground truth"
+        )
         line[0].set_ylabel(f"{shape} (H{dimension})", fontsize=8)
         _badge(line[0], dimension, expected, True)
         for condition, axis in zip(ARMS, line[1:], strict=True):
@@ -88,7 +96,9 @@ def gallery_figure(
     return figure
 
 
-def gallery_table(collected: Collected, shapes: Sequence[str] = SHAPES, seed: int = 0, profile: str = "recorded") -> pd.DataFrame:
+def gallery_table(
+    collected: Collected, shapes: Sequence[str] = SHAPES, seed: int = 0, profile: str = "recorded"
+) -> pd.DataFrame:
     """Return the gallery's numbers: per shape and arm the expected count, the record's, the count measured again on the soup that
     is shown (same samples), the seeds whose count is right, tail and Chamfer (%)."""
     rows = []

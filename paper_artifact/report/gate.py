@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.report.figures import draw_cloud, new_figure
 from paper_artifact.report.published import published
-from paper_artifact.topology.repair import Probe, Trajectory, make_probe, repair
+from paper_artifact.study.repair import Probe, Trajectory, make_probe, repair
 
 PROBES = ("T1", "T2", "T3", "T4", "T4d")
 WHAT = {
@@ -24,7 +24,13 @@ WHAT = {
     "T4": "bridged merge is severed",
     "T4d": "the same, dense bridge",
 }
-VIEW = {"T1": (0, 2), "T2": (0, 2), "T3": (0, 1), "T4": (0, 1), "T4d": (0, 1)}  # coordinate axes of the picture
+VIEW = {
+    "T1": (0, 2),
+    "T2": (0, 2),
+    "T3": (0, 1),
+    "T4": (0, 1),
+    "T4d": (0, 1),
+}  # coordinate axes of the picture
 Runs = dict[str, tuple[Probe, Trajectory]]
 
 
@@ -72,7 +78,11 @@ def factor_table(runs: Runs) -> pd.DataFrame:
                 "probe": name,
                 "bottleneck at start": round(float(run.bottleneck[0]), 5),
                 "at the end": "< 1e-12" if 0 < end < 1e-12 else f"{end:.2g}",
-                "factor": "no significant bar left" if end == 0 else f"{run.factor:.0f}×" if run.factor < 1e6 else "> 1,000,000×",
+                "factor": "no significant bar left"
+                if end == 0
+                else f"{run.factor:.0f}×"
+                if run.factor < 1e6
+                else "> 1,000,000×",
                 "paper's": "dies at the diagonal" if np.isinf(paper) else f"{paper:g}×",
             }
         )
@@ -121,7 +131,11 @@ def severed_table(runs: Runs, names: Iterable[str] = ("T3", "T4", "T4d")) -> pd.
                 "points": len(run.final),
                 "components": len(sizes),
                 "the second one": (
-                    "a half" if second > 0.4 * len(run.final) else "a single point" if second == 1 else f"{second} points"
+                    "a half"
+                    if second > 0.4 * len(run.final)
+                    else "a single point"
+                    if second == 1
+                    else f"{second} points"
                 ),
             }
         )

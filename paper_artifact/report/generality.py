@@ -14,12 +14,12 @@ import pandas as pd
 
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import significant_counts
-from paper_artifact.evaluate.evaluate import DISCRIMINATING, Target, make_target
+from paper_artifact.evaluate.scores import DISCRIMINATING, Target, make_target
 from paper_artifact.report.matrix import papers_tails
 from paper_artifact.report.published import published, published_value
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import longest, measure, surface
-from paper_artifact.study.protocol import protocol_of
+from paper_artifact.catalogue import protocol_of
 from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text
 from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
 
@@ -64,7 +64,10 @@ def generality_table(collected: Collected) -> pd.DataFrame:
             ours = f"{mean:.2f}× ± {sd:.2f}, {passes} of {len(members)} pass"
         except InputError:
             ours = "not all recorded"
-        rows[group] = {("C1", "ours"): ours, ("C1", "paper"): f"{groups['value'][group]:.2f}× ± {groups['sd'][group]:.2f}"}
+        rows[group] = {
+            ("C1", "ours"): ours,
+            ("C1", "paper"): f"{groups['value'][group]:.2f}× ± {groups['sd'][group]:.2f}",
+        }
     return pd.DataFrame.from_dict(rows, orient="index").fillna("")
 
 
@@ -72,10 +75,18 @@ def no_ramp_text(collected: Collected, shape: str = "bob") -> str:
     """Return one line: the tails without ramp (C3) and with it (C1) on the shape, ours beside those of the paper's text (§5.1)."""
     found = judged(collected)
     arms = found[shape].arms if shape in found else {}
-    ours = [arm_text(arms[name].mean, arms[name].sd, None) if name in arms else "not recorded" for name in ("C3", "C1")]
-    theirs = [published_value(table, shape=shape, condition=name) for table, name in (("ablations", "C3"), ("2", "C1"))]
+    ours = [
+        arm_text(arms[name].mean, arms[name].sd, None) if name in arms else "not recorded"
+        for name in ("C3", "C1")
+    ]
+    theirs = [
+        published_value(table, shape=shape, condition=name)
+        for table, name in (("ablations", "C3"), ("2", "C1"))
+    ]
     paper = [arm_text(*each, None) for each in theirs]
-    return f"no ramp (C3) on {shape}: ours {ours[0]} against C1 {ours[1]}; paper {paper[0]} against {paper[1]}"
+    return (
+        f"no ramp (C3) on {shape}: ours {ours[0]} against C1 {ours[1]}; paper {paper[0]} against {paper[1]}"
+    )
 
 
 def verdict_lines(collected: Collected) -> pd.DataFrame:
@@ -85,9 +96,16 @@ def verdict_lines(collected: Collected) -> pd.DataFrame:
     printed = published("chamfer")
     printed = printed[printed["quantity"] == "chamfer_ratio_to_C0"].set_index(["shape", "condition"])["value"]
     for shape, each in judged(collected).items():
-        row = {"verdict": each.outcome, "paper's tails give": theirs[shape].outcome if shape in theirs else ""}
+        row = {
+            "verdict": each.outcome,
+            "paper's tails give": theirs[shape].outcome if shape in theirs else "",
+        }
         for condition in ("C1", "C2"):
-            known = {"C0", condition} <= set(each.arms) and each.arms["C0"].chamfer and each.arms[condition].chamfer
+            known = (
+                {"C0", condition} <= set(each.arms)
+                and each.arms["C0"].chamfer
+                and each.arms[condition].chamfer
+            )
             ours = f"{each.arms[condition].chamfer / each.arms['C0'].chamfer:.2f}" if known else ""
             paper = f" (paper {printed[shape, condition]:g})" if (shape, condition) in printed.index else ""
             row[f"Chamfer {condition} / C0"] = ours + paper
@@ -104,7 +122,9 @@ def expected_count(shape: str) -> int:
     """Return the bars of the shape's bundle in the discriminating dimension: what the clean surface shows at the density of the
     loss."""
     protocol = protocol_of(shape)
-    return significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[DISCRIMINATING[shape]]
+    return significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[
+        DISCRIMINATING[shape]
+    ]
 
 
 def count_table(collected: Collected) -> pd.DataFrame:
@@ -132,7 +152,10 @@ def margin_table(collected: Collected) -> pd.DataFrame:
         row = {"bar": f"H{dimension}, {expected}. longest", "clean surface": clean}
         for name in ARMS:
             lasts = [record["dumps"][-1] for record in collected.of(shape, name)]
-            margins = [_margin(np.array(last["bars"][dimension]).reshape(-1, 2), expected, last["floor"]) for last in lasts]
+            margins = [
+                _margin(np.array(last["bars"][dimension]).reshape(-1, 2), expected, last["floor"])
+                for last in lasts
+            ]
             row[name] = " / ".join(margins) or "not recorded"
         rows[shape] = row
     return pd.DataFrame.from_dict(rows, orient="index")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from paper_artifact.certify.disposition import Disposition, dispositions
+from paper_artifact.study.dispositions import Disposition, dispositions
 from paper_artifact.report.published import published
 from paper_artifact.report.staircase import counts, signature_table, staircase, surface
 from paper_artifact.scene.fetch import mesh_path
@@ -37,7 +37,9 @@ PINS = {
 }
 
 
-def measure_all(shapes: Sequence[str] = SHAPES, progress: Callable[[str], None] | None = None) -> pd.DataFrame:
+def measure_all(
+    shapes: Sequence[str] = SHAPES, progress: Callable[[str], None] | None = None
+) -> pd.DataFrame:
     """Return the staircases (see `staircase.staircase`) of the shapes: 40 seeds at M = 2048, five at each other density; about
     two minutes of CPU. progress is called with each shape done. Raises InputError for a mesh that cannot be had."""
     tables = []
@@ -81,16 +83,31 @@ def quoted_table(table: pd.DataFrame) -> pd.DataFrame:
     for row in paper[paper["quantity"].isin(kinds) & paper["shape"].isin(table["shape"])].itertuples():
         if row.source.startswith("Table S13") and (row.shape == "eight" or row.shape in IN_TABLE[2:]):
             continue  # App. G's text has the same number
-        dimension = int(row.dimension) if row.dimension == row.dimension else 1 if row.shape == "rocker-arm" else 2
-        samples, rank, kind = (2048 if np.isnan(row.samples) else int(row.samples)), rank_of(row.note), kinds[row.quantity]
+        dimension = (
+            int(row.dimension) if row.dimension == row.dimension else 1 if row.shape == "rocker-arm" else 2
+        )
+        samples, rank, kind = (
+            (2048 if np.isnan(row.samples) else int(row.samples)),
+            rank_of(row.note),
+            kinds[row.quantity],
+        )
         own = table[(table["shape"] == row.shape) & (table["samples"] == samples)]
         length = own[f"h{dimension}_{rank}"]
         values = {"lifetime": length, "floor": own["floor"], "margin": length / own["floor"]}[kind]
         digits = 2 if kind == "margin" else 4
         low, high = round(values.min(), digits), round(values.max(), digits)
-        ours = {"seed 0": values[own["seed"] == 0].iloc[0], "least": low, "median": values.median(), "largest": high}
+        ours = {
+            "seed 0": values[own["seed"] == 0].iloc[0],
+            "least": low,
+            "median": values.median(),
+            "largest": high,
+        }
         rows.append(
-            {"shape": row.shape, "M": samples, "what": kind if kind == "floor" else f"{kind}, {NAMES[dimension]} {rank}"}
+            {
+                "shape": row.shape,
+                "M": samples,
+                "what": kind if kind == "floor" else f"{kind}, {NAMES[dimension]} {rank}",
+            }
             | {name: f"{value:.{digits}f}" for name, value in ({"paper": row.value} | ours).items()}
             | {"seeds": len(own), "paper in range": "yes" if low <= row.value <= high else "no"}
         )
@@ -102,7 +119,9 @@ def seed_dependence(table: pd.DataFrame) -> pd.DataFrame:
     bar about which they disagree most."""
     rows = []
     for (shape, samples), own in table.groupby(["shape", "samples"], sort=False):
-        signs = Counter(f"({1 + a},{b},{c})" for a, b, c in zip(*(counts(own, dimension) for dimension in range(3))))
+        signs = Counter(
+            f"({1 + a},{b},{c})" for a, b, c in zip(*(counts(own, dimension) for dimension in range(3)))
+        )
         if len(signs) == 1:
             continue
         margins = own[[f"h{d}_{rank}" for d in range(3) for rank in range(1, 5)]].div(own["floor"], axis=0)
@@ -183,7 +202,9 @@ def detail_table(rows: Sequence[Disposition]) -> pd.DataFrame:
                 "χ": found.euler_as_given,
                 "components": len(found.components),
                 "wound": _winding(found.components[0].volume),
-                "as polygons: open, non-manifold, χ": "" if polygons is None else "{}, {}, {}".format(*polygons),
+                "as polygons: open, non-manifold, χ": ""
+                if polygons is None
+                else "{}, {}, {}".format(*polygons),
             }
         )
     return pd.DataFrame(lines).set_index("candidate")
@@ -198,7 +219,9 @@ def polygon_counts(path: Path | str) -> tuple[int, int, int] | None:
     for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["v"]:
-            number.append(points.setdefault(tuple(map(float, words[1:4])), len(points)))  # equal points are one vertex
+            number.append(
+                points.setdefault(tuple(map(float, words[1:4])), len(points))
+            )  # equal points are one vertex
         elif words[:1] == ["f"]:
             indices = [int(word.split("/")[0]) for word in words[1:]]
             polygons.append([number[index - 1 if index > 0 else index] for index in indices])

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.evaluate.evaluate import make_target
+from paper_artifact.evaluate.scores import make_target
 from paper_artifact.files import RESULTS
 from paper_artifact.report.figures import COLOURS, draw_band, draw_diagram, new_figure
 from paper_artifact.report.published import published
@@ -24,7 +24,9 @@ CONDITIONS = ("C0", "C1", "C2", "C2g", "C3", "C5", "C6", "C7", "C7h")
 NAMES = ("components", "loops", "voids")
 
 
-def collect_study(name: str = "table1", profile: str = "recorded", folder: Path = RESULTS / "runs") -> Collected:
+def collect_study(
+    name: str = "table1", profile: str = "recorded", folder: Path = RESULTS / "runs"
+) -> Collected:
     """Return the records of a study's runs (see `study.studies`), and which are missing."""
     return collect([(each.shape, each.condition, each.seed) for each in study_configs(name)], profile, folder)
 
@@ -49,13 +51,23 @@ def matrix_table(collected: Collected) -> pd.DataFrame:
     columns = {}
     for shape in dict.fromkeys(shape for shape, _ in wanted):
         ours, theirs = {}, {}
-        printed = paper[(paper["shape"] == shape) & paper["seed"].isna()].drop_duplicates("condition").set_index("condition")
+        printed = (
+            paper[(paper["shape"] == shape) & paper["seed"].isna()]
+            .drop_duplicates("condition")
+            .set_index("condition")
+        )
         for condition in CONDITIONS:
             arm = judged[shape].arms.get(condition) if shape in judged else None
             if arm is not None:
                 total = wanted[shape, condition]
-                seeds = f"{len(arm.seeds)} seeds" if len(arm.seeds) == total else f"{len(arm.seeds)} of {total} seeds"
-                ours[condition] = f"{arm_text(arm.mean, arm.sd, None if condition == 'C0' else arm.ratio)}, {seeds}"
+                seeds = (
+                    f"{len(arm.seeds)} seeds"
+                    if len(arm.seeds) == total
+                    else f"{len(arm.seeds)} of {total} seeds"
+                )
+                ours[condition] = (
+                    f"{arm_text(arm.mean, arm.sd, None if condition == 'C0' else arm.ratio)}, {seeds}"
+                )
             else:
                 ours[condition] = "not recorded" if (shape, condition) in wanted else ""
             if condition in printed.index:
@@ -95,7 +107,9 @@ def reasons(collected: Collected) -> str:
     for row in sigmas[sigmas["quantity"] == "welch_sigma"].itertuples():
         first, second = row.condition.split(" vs ")
         arms = judged[row.shape].arms if row.shape in judged else {}
-        ours = welch_sigma(arms[first].tails, arms[second].tails) if first in arms and second in arms else None
+        ours = (
+            welch_sigma(arms[first].tails, arms[second].tails) if first in arms and second in arms else None
+        )
         lines.append(
             f"Welch, {row.shape} {row.condition}: paper {row.value:.1f}; ours "
             + ("needs five recorded seeds of each" if ours is None else f"{abs(ours):.1f}")
@@ -110,14 +124,19 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
     if rows.empty:
         return rows
     ours = (
-        (100 * rows.groupby(["shape", "condition"], sort=False)["chamfer"].mean()).round(3).unstack("shape").add_suffix(", ours")
+        (100 * rows.groupby(["shape", "condition"], sort=False)["chamfer"].mean())
+        .round(3)
+        .unstack("shape")
+        .add_suffix(", ours")
     )
     paper = published("chamfer")
     paper = paper[(paper["quantity"] == "chamfer_percent") & paper["shape"].isin(rows["shape"])]
     theirs = paper.set_index(["condition", "shape"])["value"].unstack("shape").add_suffix(", paper")
     table = pd.concat([ours, theirs], axis=1).reindex([each for each in CONDITIONS if each in ours.index])
     order = [f"{shape}, {source}" for shape in dict.fromkeys(rows["shape"]) for source in ("ours", "paper")]
-    return table[[each for each in order if each in table]].astype(object).where(lambda frame: frame.notna(), "")
+    return (
+        table[[each for each in order if each in table]].astype(object).where(lambda frame: frame.notna(), "")
+    )
 
 
 def component_table(collected: Collected, shape: str = "two_spheres") -> pd.DataFrame:
@@ -138,7 +157,10 @@ def component_table(collected: Collected, shape: str = "two_spheres") -> pd.Data
 
 
 def trajectory_figure(
-    collected: Collected, shapes: Sequence[str] = ("sphere", "torus"), value: str = "bottleneck", columns: int = 2
+    collected: Collected,
+    shapes: Sequence[str] = ("sphere", "torus"),
+    value: str = "bottleneck",
+    columns: int = 2,
 ) -> Figure:
     """Return Figs. S6, S2 (value "bottleneck") or Fig. S4 ("count"): one axes per shape, `columns` in a row, a line (mean) and
     band (range of seeds) per condition."""
@@ -153,10 +175,15 @@ def trajectory_figure(
             draw_band(axis, table[table["condition"] == condition], value, condition, COLOURS[condition])
         if value == "count" and records and records[0]["mesh"]["betti"]:
             axis.axhline(
-                records[0]["mesh"]["betti"][records[0]["mesh"]["dimension"]], color="black", linestyle="--", linewidth=0.8
+                records[0]["mesh"]["betti"][records[0]["mesh"]["dimension"]],
+                color="black",
+                linestyle="--",
+                linewidth=0.8,
             )
         title = f"{shape}: " + ("bottleneck to target" if value == "bottleneck" else "significant bars")
-        axis.set_title(title + (f", H{records[0]['mesh']['dimension']}" if records else ", no run recorded"), fontsize=9)
+        axis.set_title(
+            title + (f", H{records[0]['mesh']['dimension']}" if records else ", no run recorded"), fontsize=9
+        )
         axis.set_xlabel("step")
         axis.set_ylim(bottom=0)
         axis.grid(alpha=0.25)
@@ -169,13 +196,20 @@ def trajectory_figure(
 def trajectory_table(collected: Collected, shape: str, value: str = "bottleneck") -> pd.DataFrame:
     """Return the figure's numbers for one shape: steps × conditions, mean over seeds."""
     table = dump_table(collected.of(shape))
-    means = table.groupby(["step", "condition"])[value].mean().round(4 if value == "bottleneck" else 2).unstack("condition")
+    means = (
+        table.groupby(["step", "condition"])[value]
+        .mean()
+        .round(4 if value == "bottleneck" else 2)
+        .unstack("condition")
+    )
     return means[[each for each in CONDITIONS if each in means]]
 
 
 def seed_table(collected: Collected) -> pd.DataFrame:
     """Return per shape and condition our tails seed by seed, beside Table S7's (which has the three-seed analytic shapes)."""
-    paper = pd.DataFrame(published_rows(published("S7"))).groupby(["shape", "condition"])["tail"].agg(tails_text)
+    paper = (
+        pd.DataFrame(published_rows(published("S7"))).groupby(["shape", "condition"])["tail"].agg(tails_text)
+    )
     rows = []
     for shape, judged in verdict(rows_of(collected.records)).items():
         for condition in (each for each in CONDITIONS if each in judged.arms):
@@ -197,15 +231,23 @@ def seed_figure(collected: Collected, shapes: Sequence[str] = ("sphere", "torus"
     """Return Fig. S3: per-seed tails as dots and the arms' means as bars; crosses: the paper's means."""
     figure, axes = new_figure(1, len(shapes), 4.6, 2.8)
     paper = papers_tails()
-    paper = paper[(paper["quantity"] == "tail_bottleneck") & paper["seed"].isna()].drop_duplicates(["shape", "condition"])
+    paper = paper[(paper["quantity"] == "tail_bottleneck") & paper["seed"].isna()].drop_duplicates(
+        ["shape", "condition"]
+    )
     judged = verdict(rows_of(collected.records))
     for axis, shape in zip(axes[0], shapes, strict=True):
-        arms = {name: judged[shape].arms[name] for name in CONDITIONS if shape in judged and name in judged[shape].arms}
+        arms = {
+            name: judged[shape].arms[name]
+            for name in CONDITIONS
+            if shape in judged and name in judged[shape].arms
+        }
         for place, (name, arm) in enumerate(arms.items()):
             axis.bar(place, arm.mean, color=COLOURS[name], alpha=0.35, width=0.7)
             axis.scatter([place] * len(arm.tails), arm.tails, color=COLOURS[name], s=14, zorder=3)
             printed = paper[(paper["shape"] == shape) & (paper["condition"] == name)]["value"]
-            axis.scatter([place] * len(printed), printed, color="black", marker="x", s=26, linewidths=1, zorder=4)
+            axis.scatter(
+                [place] * len(printed), printed, color="black", marker="x", s=26, linewidths=1, zorder=4
+            )
         axis.set_xticks(range(len(arms)), list(arms), fontsize=8)
         axis.set_title(f"{shape}: tail bottleneck per seed (× the paper's mean)", fontsize=9)
         axis.tick_params(labelsize=7)
@@ -232,7 +274,12 @@ def diagram_figure(
             dumps = [dump for record in records for dump in record["dumps"] if dump["step"] == step]
             bars = np.asarray(dumps[0]["bars"][target.dimension] if dumps else [], dtype=float).reshape(-1, 2)
             draw_diagram(
-                axis, bars, target.floor, limit, stars, f"{condition}, step {step}" + ("" if dumps else ": not recorded")
+                axis,
+                bars,
+                target.floor,
+                limit,
+                stars,
+                f"{condition}, step {step}" + ("" if dumps else ": not recorded"),
             )
     return figure
 
@@ -250,8 +297,14 @@ def diagram_table(
         for record in collected.of(shape, condition):
             if record["config"]["seed"] == seed:
                 dimension = record["mesh"]["dimension"]
-                bars = {dump["step"]: dump["bars"][dimension][0] for dump in record["dumps"] if dump["bars"][dimension]}
+                bars = {
+                    dump["step"]: dump["bars"][dimension][0]
+                    for dump in record["dumps"]
+                    if dump["bars"][dimension]
+                }
                 rows[condition] = {
-                    f"step {step}": f"({bars[step][0]:.4f}, {bars[step][1]:.4f})" for step in steps if step in bars
+                    f"step {step}": f"({bars[step][0]:.4f}, {bars[step][1]:.4f})"
+                    for step in steps
+                    if step in bars
                 }
     return pd.DataFrame.from_dict(rows, orient="index")

@@ -26,14 +26,22 @@ class Measurement(NamedTuple):
 
 MEASUREMENTS = {
     "staircase": Measurement(
-        "staircase", "measure_all", "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds"
+        "staircase",
+        "measure_all",
+        "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds",
     ),
     "group_wave": Measurement(
-        "group_wave", "measure_all", "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others"
+        "group_wave",
+        "measure_all",
+        "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others",
     ),
-    "cost": Measurement("cost", "measure_all", "time and memory of persistence against the number of samples, on this machine"),
+    "cost": Measurement(
+        "cost", "measure_all", "time and memory of persistence against the number of samples, on this machine"
+    ),
     "peers": Measurement(
-        "peers", "measure_all", "differentiable diagrams beside oineus.diff and torch-topological, where installed"
+        "peers",
+        "measure_all",
+        "differentiable diagrams beside oineus.diff and torch-topological, where installed",
     ),
 }
 
@@ -43,9 +51,13 @@ def measure(name: str, folder: Path | str = MEASURED, progress: Callable[[str], 
     name."""
     _known(name)
     measurement = MEASUREMENTS[name]
-    function = getattr(importlib.import_module(f"paper_artifact.report.{measurement.module}"), measurement.function)
+    function = getattr(
+        importlib.import_module(f"paper_artifact.report.{measurement.module}"), measurement.function
+    )
     path = Path(folder) / f"{name}.csv"
-    write_text(path, function(progress=progress).to_csv(index=False, float_format="%.6g", lineterminator="\n"))
+    write_text(
+        path, function(progress=progress).to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    )
     return path
 
 

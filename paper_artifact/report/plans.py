@@ -34,12 +34,18 @@ def refresh_table(record: Mapping) -> pd.DataFrame:
             if bar["live"] is not None
         ]
         rows.append(
-            row | {"targets": sum(len(each["targets"]) for each in dimensions), "residual": max(pulled) if pulled else np.nan}
+            row
+            | {
+                "targets": sum(len(each["targets"]) for each in dimensions),
+                "residual": max(pulled) if pulled else np.nan,
+            }
         )
     return pd.DataFrame(rows)
 
 
-def plan_table(collected: Collected, conditions: Sequence[str] = ("C1", "C3", "C6", "C7", "C7h")) -> pd.DataFrame:
+def plan_table(
+    collected: Collected, conditions: Sequence[str] = ("C1", "C3", "C6", "C7", "C7h")
+) -> pd.DataFrame:
     """Return per shape and condition, over all recorded seeds: refreshes, the share with a recruited or an unreached target,
     Gabriel failures, λ's range over seeds, and the residual at the loss's own M over the tail's refreshes beside the
     20,000-sample tail."""
@@ -51,7 +57,12 @@ def plan_table(collected: Collected, conditions: Sequence[str] = ("C1", "C3", "C
     for (shape, condition), records in groups.items():
         logs = [refresh_table(record) for record in records]
         every = pd.concat(logs)
-        peaks = [event["lambda_peak"] for record in records for event in record["topology"] if event["event"] == "lambda"]
+        peaks = [
+            event["lambda_peak"]
+            for record in records
+            for event in record["topology"]
+            if event["event"] == "lambda"
+        ]
         dimension = records[0]["mesh"]["dimension"]
         rows.append(
             {
@@ -64,15 +75,21 @@ def plan_table(collected: Collected, conditions: Sequence[str] = ("C1", "C3", "C
                 "Gabriel failures": int(every["gabriel_failures"].sum()),
                 "λ min": float(f"{min(peaks):.3g}"),
                 "λ max": float(f"{max(peaks):.3g}"),
-                "residual at M": round(float(np.nanmean([log["residual"].tail(LAST).mean() for log in logs])), 4),
-                "tail at 20,000": round(float(np.mean([record["tails"]["bottleneck"][dimension] for record in records])), 4),
+                "residual at M": round(
+                    float(np.nanmean([log["residual"].tail(LAST).mean() for log in logs])), 4
+                ),
+                "tail at 20,000": round(
+                    float(np.mean([record["tails"]["bottleneck"][dimension] for record in records])), 4
+                ),
             }
         )
     return pd.DataFrame(rows).set_index(["shape", "condition"]) if rows else pd.DataFrame()
 
 
 def plan_figure(
-    collected: Collected, panels: Iterable[tuple[str, str]] = (("torus", "C6"), ("torus", "C1"), ("sphere", "C1")), seed: int = 0
+    collected: Collected,
+    panels: Iterable[tuple[str, str]] = (("torus", "C6"), ("torus", "C1"), ("sphere", "C1")),
+    seed: int = 0,
 ) -> Figure:
     """Return the plan composition per refresh of one seed, one axes per (shape, condition); dashed: the number of target bars."""
     panels = tuple(panels)
@@ -80,14 +97,18 @@ def plan_figure(
     for axis, (shape, condition) in zip(axes[0], panels, strict=True):
         records = [record for record in collected.of(shape, condition) if record["config"]["seed"] == seed]
         log = refresh_table(records[0]) if records else pd.DataFrame()
-        axis.set_title(f"{shape} {condition}, seed {seed}" + ("" if len(log) else ": not recorded"), fontsize=9)
+        axis.set_title(
+            f"{shape} {condition}, seed {seed}" + ("" if len(log) else ": not recorded"), fontsize=9
+        )
         axis.set_xlabel("step")
         axis.tick_params(labelsize=7)
         if not len(log):
             continue
         for kind, colour in KINDS.items():
             if kind != "diagonal" or log[kind].any():
-                axis.plot(log["step"], log[kind], color=colour, label=kind, linewidth=1.1, drawstyle="steps-post")
+                axis.plot(
+                    log["step"], log[kind], color=colour, label=kind, linewidth=1.1, drawstyle="steps-post"
+                )
         axis.axhline(log["targets"].iloc[0], color="grey", linestyle="--", linewidth=0.8, label="targets")
         axis.set_ylim(-0.1, max(3, log["targets"].max() + 0.5))
         axis.legend(fontsize=6)
@@ -95,7 +116,9 @@ def plan_figure(
 
 
 def composition_table(
-    collected: Collected, panels: Iterable[tuple[str, str]] = (("torus", "C6"), ("torus", "C1"), ("sphere", "C1")), seed: int = 0
+    collected: Collected,
+    panels: Iterable[tuple[str, str]] = (("torus", "C6"), ("torus", "C1"), ("sphere", "C1")),
+    seed: int = 0,
 ) -> pd.DataFrame:
     """Return the figure's numbers: how many refreshes of that seed had which (matched, recruited, unreached, diagonal)."""
     rows = []

@@ -24,7 +24,7 @@ from paper_artifact.report.published import published
 from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
 from paper_artifact.report.staircase import measure, signature_table, staircase
-from paper_artifact.study.protocol import protocol_of
+from paper_artifact.catalogue import protocol_of
 from paper_artifact.study.tables import counts_text
 from paper_artifact.study.verdict import Arm, rows_of, verdict
 
@@ -46,7 +46,9 @@ def margins(table: pd.DataFrame, samples: int, bar: str) -> pd.Series:
     return own[bar] / own["floor"]
 
 
-def challenge_table(pot: hot_pot.RawPot, solid: Solid, table: pd.DataFrame, collected: Collected) -> pd.DataFrame:
+def challenge_table(
+    pot: hot_pot.RawPot, solid: Solid, table: pd.DataFrame, collected: Collected
+) -> pd.DataFrame:
     """Return Table S4's numbers: of the paper's pot, and of the stand-in (measured now, the outcomes from the records)."""
     raw, shell, void = solid.raw, solid.certificate, margins(table, WORKING, "h2_1")
     judged = verdict(rows_of(collected.records)).get("pot")
@@ -76,7 +78,14 @@ def challenge_table(pot: hot_pot.RawPot, solid: Solid, table: pd.DataFrame, coll
         if quantity.startswith("margin"):
             theirs = f"{values[0]:.2f}"
         name = quantity.replace("_", " ")
-        rows.append({"what": name, "paper's pot": theirs, "paper's note": notes[quantity], "stand-in": str(ours[quantity])})
+        rows.append(
+            {
+                "what": name,
+                "paper's pot": theirs,
+                "paper's note": notes[quantity],
+                "stand-in": str(ours[quantity]),
+            }
+        )
     return pd.DataFrame(rows).set_index("what")
 
 
@@ -115,7 +124,15 @@ def void_table(mesh: Mesh, samples: int = WORKING, seeds: Sequence[int] = SEEDS)
     for seed in seeds:
         diagram, floor = measure(mesh, samples, seed)
         birth, death = diagram[2][np.argmax(lifetimes(diagram[2]))]
-        rows.append({"seed": seed, "birth": birth, "death": death, "lifetime": death - birth, "margin": (death - birth) / floor})
+        rows.append(
+            {
+                "seed": seed,
+                "birth": birth,
+                "death": death,
+                "lifetime": death - birth,
+                "margin": (death - birth) / floor,
+            }
+        )
     table = pd.DataFrame(rows).set_index("seed")
     spread = table.std(ddof=1).rename("standard deviation")
     return pd.concat([table, spread.to_frame().T]).rename_axis("seed").round({"margin": 2}).round(5)
@@ -136,7 +153,10 @@ def flue_table(solid: Solid, table: pd.DataFrame) -> pd.DataFrame:
     """Return the flue's geometry as built beside the void that is measured: the radius at which the mouth closes and birth, the
     radius that fits into the chamber and death (8192 samples, mean over seeds 0–4), and half the lifetime at 20,000 samples."""
     apothem = np.cos(np.pi / hot_pot.SIDES)  # inscribed / circumscribed radius of the flue's cross-section
-    inner = [(radius * apothem - solid.offset) / solid.shell.diagonal for radius in (hot_pot.MOUTH_RADIUS, hot_pot.FLUE_RADIUS)]
+    inner = [
+        (radius * apothem - solid.offset) / solid.shell.diagonal
+        for radius in (hot_pot.MOUTH_RADIUS, hot_pot.FLUE_RADIUS)
+    ]
     void = void_table(solid.shell).iloc[:-1].mean()
     pinned = published("2").set_index(["shape", "condition"])["value"]["pot", "C2"]
     half = table[table["samples"] == 20_000]["h2_1"] / 2

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from paper_artifact.report.figures import draw_cloud, draw_diagram, new_figure
 from paper_artifact.report.published import published
-from paper_artifact.study.probes import CASES, SAMPLES, Probe, Reading, make_probe, noise_floor, read
+from paper_artifact.study.blindness import CASES, SAMPLES, Probe, Reading, make_probe, noise_floor, read
 
 Measured = dict[tuple[str, int], tuple[Probe, Reading, Reading]]
 SHOWN = 5000  # points drawn of a cloud
@@ -53,7 +53,10 @@ def reading_table(measured: Measured) -> pd.DataFrame:
 
 def beside_paper(readings: pd.DataFrame) -> pd.DataFrame:
     """Return Table S1 from a `reading_table`: ours (mean over seeds, ± sd) beside the paper's, per case."""
-    table, paper = readings.groupby("case", sort=False), published("S1").set_index(["shape", "condition", "quantity"])["value"]
+    table, paper = (
+        readings.groupby("case", sort=False),
+        published("S1").set_index(["shape", "condition", "quantity"])["value"],
+    )
     chamfer, a, b = table["Chamfer % B"], table["bottleneck A"], table["bottleneck B"]
     rows = []
     for name in dict.fromkeys(case for case, _ in readings.index):
@@ -69,7 +72,9 @@ def beside_paper(readings: pd.DataFrame) -> pd.DataFrame:
                 "bottleneck B": _mean_sd(b, name, 4),
                 "paper's B": paper[name, "B", "bottleneck"],
                 "B / A": f"{mean_b / mean_a:.1f}×" if mean_a > 0 else "—",
-                "paper's B / A": f"{paper[name, 'B / A', 'ratio']:.0f}×" if (name, "B / A", "ratio") in paper.index else "—",
+                "paper's B / A": f"{paper[name, 'B / A', 'ratio']:.0f}×"
+                if (name, "B / A", "ratio") in paper.index
+                else "—",
                 "Hausdorff95 prefers": prefers,
                 "paper: prefers": "B" if paper[name, "", "hausdorff95_prefers_B"] else "A",
             }
@@ -88,7 +93,9 @@ def picture(measured: Measured, seed: int) -> Figure:
             draw_cloud(axis, cloud[:SHOWN], f"{case}: {which}")
         limit = 1.2 * max(bars.max() for bars in (a.significant, b.significant, a.target) if len(bars))
         for axis, reading, which in ((line[2], a, "A"), (line[3], b, "B")):
-            draw_diagram(axis, reading.bars, reading.floor, limit, reading.target, f"H{probe.dimension} of {which}")
+            draw_diagram(
+                axis, reading.bars, reading.floor, limit, reading.target, f"H{probe.dimension} of {which}"
+            )
     return figure
 
 

@@ -18,7 +18,9 @@ def tables(folder: Path | str = PUBLISHED) -> list[str]:
     """Return the names that `published` takes: "1", "2", "S1" … "S13" (tables), "noise", "cost", … (numbers in the text)."""
     names = [path.stem.split("_", 1)[1] for path in Path(folder).glob("t*_*.csv")]
     numbered = [name for name in names if name.lstrip("S").isdigit()]
-    return sorted(numbered, key=lambda name: (name[0] == "S", int(name.lstrip("S")))) + sorted(set(names) - set(numbered))
+    return sorted(numbered, key=lambda name: (name[0] == "S", int(name.lstrip("S")))) + sorted(
+        set(names) - set(numbered)
+    )
 
 
 def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
@@ -35,7 +37,9 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
     raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
 
 
-def published_value(table: str, *, quantity: str = "tail_bottleneck", **columns: str | int) -> tuple[float, float]:
+def published_value(
+    table: str, *, quantity: str = "tail_bottleneck", **columns: str | int
+) -> tuple[float, float]:
     """Return (value, sd) of the one row of `table` with this quantity and these columns; sd is NaN where none is printed.
 
     published_value("1", shape="sphere", condition="C0") is (.0623, .0063). Raises InputError unless exactly one row fits.
@@ -43,11 +47,15 @@ def published_value(table: str, *, quantity: str = "tail_bottleneck", **columns:
     frame = published(table)
     unknown = [name for name in columns if name not in frame]
     if unknown:
-        raise InputError(f"table {table} has no column {', '.join(unknown)}; it has {', '.join(frame.columns)}")
+        raise InputError(
+            f"table {table} has no column {', '.join(unknown)}; it has {', '.join(frame.columns)}"
+        )
     chosen = frame["quantity"] == quantity
     for name, wanted in columns.items():
         chosen &= frame[name] == wanted
     if chosen.sum() != 1:
-        raise InputError(f"{int(chosen.sum())} rows of table {table} have {quantity} and {columns}; name exactly one")
+        raise InputError(
+            f"{int(chosen.sum())} rows of table {table} have {quantity} and {columns}; name exactly one"
+        )
     row = frame[chosen].iloc[0]
     return float(row["value"]), float(row["sd"])

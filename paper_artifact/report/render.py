@@ -15,7 +15,11 @@ from paper_artifact.scene.cameras import Camera, look_at, world_to_clip
 MATERIAL = (0.86, 0.84, 0.80)  # neutral, RGB in [0,1]
 CUT = (0.75, 0.36, 0.24)  # of what a cut lays bare
 AMBIENT = 0.34
-LIGHT = (-0.45, -0.65, -1.0)  # towards the light, camera frame (x right, y down, z forward): over the viewer's left shoulder
+LIGHT = (
+    -0.45,
+    -0.65,
+    -1.0,
+)  # towards the light, camera frame (x right, y down, z forward): over the viewer's left shoulder
 FIELD_OF_VIEW = 30.0  # degrees
 MARGIN = 1.04  # of the image around the framed points
 SUPERSAMPLING = 2
@@ -58,8 +62,16 @@ def render_flat(
     was cut open then shows its cut filled). Raises InputError for arrays of other shapes, nothing to draw or no direction.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise InputError(f"a picture needs vertices (V,3) and faces (F,3), at least one, got {vertices.shape} and {faces.shape}")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or not len(faces)
+    ):
+        raise InputError(
+            f"a picture needs vertices (V,3) and faces (F,3), at least one, got {vertices.shape} and {faces.shape}"
+        )
     if size < 1:
         raise InputError(f"a picture needs at least one pixel, got {size}")
     turn = _upright(np.asarray(up, dtype=np.float64))
@@ -67,7 +79,9 @@ def render_flat(
     if not np.isfinite(vertices).all() or not 0 < np.linalg.norm(towards) < np.inf:
         raise InputError("a picture needs finite vertices and a direction that is not zero")
     used = vertices[np.unique(faces)]
-    camera = framed_camera(used if frame is None else np.asarray(frame, dtype=np.float64) @ turn.T, towards, size * SUPERSAMPLING)
+    camera = framed_camera(
+        used if frame is None else np.asarray(frame, dtype=np.float64) @ turn.T, towards, size * SUPERSAMPLING
+    )
     colours = _face_colours(vertices[faces], camera, material, inside)
     reach = float(np.linalg.norm(used - camera.position, axis=1).max())
     clip = world_to_clip(camera, 0.02 * reach, 1.01 * reach).astype(np.float32)
@@ -85,7 +99,11 @@ def _face_colours(corners: np.ndarray, camera: Camera, material, inside) -> np.n
     lambert = np.clip((np.where(facing < 0, -1.0, 1.0)[:, None] * normals) @ light, 0, 1)
     own = np.broadcast_to(np.asarray(material, dtype=np.float64), normals.shape)
     colours = own * (AMBIENT + (1 - AMBIENT) * lambert)[:, None]
-    return colours if inside is None else np.where((facing < 0)[:, None], np.asarray(inside, dtype=np.float64), colours)
+    return (
+        colours
+        if inside is None
+        else np.where((facing < 0)[:, None], np.asarray(inside, dtype=np.float64), colours)
+    )
 
 
 def _upright(up: np.ndarray) -> np.ndarray:

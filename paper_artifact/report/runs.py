@@ -13,9 +13,9 @@ import pandas as pd
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
-from paper_artifact.record.record import config_hash, find_records, record_path
+from paper_artifact.record.store import config_hash, find_records, record_path
 from paper_artifact.train.config import RunConfig, default_config
-from paper_artifact.train.run import find_mesh, run, with_condition
+from paper_artifact.pipeline import find_mesh, run, with_condition
 
 RETRAINED = RESULTS / "retrained"
 Run = tuple[str, str, int]  # shape, condition, seed
@@ -44,7 +44,10 @@ def study_config(shape: str, condition: str = "C0", seed: int = 0) -> RunConfig:
 
 
 def collect(
-    wanted: Iterable[Run], profile: str = "recorded", folder: Path = RESULTS / "runs", retrained: Path = RETRAINED
+    wanted: Iterable[Run],
+    profile: str = "recorded",
+    folder: Path = RESULTS / "runs",
+    retrained: Path = RETRAINED,
 ) -> Collected:
     """Return the records of the wanted runs.
 
@@ -53,7 +56,9 @@ def collect(
     """
     wanted = list(dict.fromkeys(wanted))
     if profile == "full":
-        return Collected(tuple(run(study_config(*each), mesh=find_mesh(each[0]), results=retrained) for each in wanted), ())
+        return Collected(
+            tuple(run(study_config(*each), mesh=find_mesh(each[0]), results=retrained) for each in wanted), ()
+        )
     if profile != "recorded":
         raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
     stored = {record["config_hash"]: record for record in find_records(folder)}
@@ -119,7 +124,9 @@ def dump_table(records: Iterable[Mapping]) -> pd.DataFrame:
             }
             for dump in record["dumps"]
         ]
-    return pd.DataFrame(rows, columns=["shape", "condition", "seed", "step", "bottleneck", "count", "chamfer %"])
+    return pd.DataFrame(
+        rows, columns=["shape", "condition", "seed", "step", "bottleneck", "count", "chamfer %"]
+    )
 
 
 def loss_table(records: Iterable[Mapping]) -> pd.DataFrame:
@@ -128,7 +135,15 @@ def loss_table(records: Iterable[Mapping]) -> pd.DataFrame:
     for record in records:
         config = record["config"]
         rows += [
-            {"shape": config["shape"], "condition": config["condition"], "seed": config["seed"], "step": step, "loss": loss}
-            for step, loss in zip(record["losses"].get("step", []), record["losses"].get("loss", []), strict=True)
+            {
+                "shape": config["shape"],
+                "condition": config["condition"],
+                "seed": config["seed"],
+                "step": step,
+                "loss": loss,
+            }
+            for step, loss in zip(
+                record["losses"].get("step", []), record["losses"].get("loss", []), strict=True
+            )
         ]
     return pd.DataFrame(rows, columns=["shape", "condition", "seed", "step", "loss"])

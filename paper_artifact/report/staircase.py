@@ -51,7 +51,10 @@ def staircase(mesh: Mesh, densities: Iterable[int], seeds: Iterable[int]) -> pd.
             diagram, floor = measure(mesh, samples, seed)
             row = {"shape": mesh.name, "samples": samples, "seed": seed, "floor": floor, "law": law}
             for dimension in range(3):
-                row |= {f"h{dimension}_{rank + 1}": value for rank, value in enumerate(longest(diagram[dimension]))}
+                row |= {
+                    f"h{dimension}_{rank + 1}": value
+                    for rank, value in enumerate(longest(diagram[dimension]))
+                }
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -59,7 +62,10 @@ def staircase(mesh: Mesh, densities: Iterable[int], seeds: Iterable[int]) -> pd.
 def counts(table: pd.DataFrame, dimension: int, multiplier: float = MULTIPLIER) -> pd.Series:
     """Return the number of significant bars per line of a staircase (at most KEPT), for the floor multiplier·r_med."""
     lengths = table[[f"h{dimension}_{rank}" for rank in range(1, KEPT + 1)]].to_numpy()
-    return pd.Series((lengths > table["floor"].to_numpy()[:, None] * multiplier / MULTIPLIER).sum(axis=1), index=table.index)
+    return pd.Series(
+        (lengths > table["floor"].to_numpy()[:, None] * multiplier / MULTIPLIER).sum(axis=1),
+        index=table.index,
+    )
 
 
 def signature_table(table: pd.DataFrame, columns: Sequence[str] = ("samples",)) -> pd.DataFrame:
@@ -77,14 +83,17 @@ def _agreeing(values: pd.Series) -> str:
         return values.iloc[0]
     return ", ".join(
         f"{name} {number}×"
-        for name, number in values.value_counts().sort_index().sort_values(ascending=False, kind="stable").items()
+        for name, number in values.value_counts()
+        .sort_index()
+        .sort_values(ascending=False, kind="stable")
+        .items()
     )
 
 
 @lru_cache(maxsize=None)
 def surface(shape: str) -> Mesh:
     """Return the mesh of a shape (see `train.run.find_mesh`), read once per process."""
-    from paper_artifact.train.run import find_mesh  # the trainer: only when a name has to be resolved
+    from paper_artifact.pipeline import find_mesh  # the trainer: only when a name has to be resolved
 
     return find_mesh(shape)
 
@@ -112,7 +121,9 @@ def agreement(table: pd.DataFrame, other: pd.DataFrame) -> tuple[int, float]:
     left, right = (each.set_index(keys).sort_index() for each in (table, other))
     common = left.index.intersection(right.index)
     left, right = left.loc[common], right.loc[common][left.columns]
-    return len(common), float((left.sub(right).abs().max(axis=1) / left["floor"]).max()) if len(common) else float("nan")
+    return len(common), float((left.sub(right).abs().max(axis=1) / left["floor"]).max()) if len(
+        common
+    ) else float("nan")
 
 
 def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
@@ -123,14 +134,17 @@ def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
         .pivot(index="shape", columns=["samples", "dimension"], values="value")
         .astype(int)
     )
-    densities = [each for each in dict.fromkeys(table["samples"]) if each in paper.columns.get_level_values(0)]
+    densities = [
+        each for each in dict.fromkeys(table["samples"]) if each in paper.columns.get_level_values(0)
+    ]
     signs = table.assign(sign=[f"{b} / {c}" for b, c in zip(counts(table, 1), counts(table, 2))])
     rows = {}
     for shape in (each for each in dict.fromkeys(table["shape"]) if each in paper.index):
         own = signs[signs["shape"] == shape].groupby("samples")["sign"]
         rows[shape, "ours"] = {f"M = {each}": _agreeing(own.get_group(each)) for each in densities}
         rows[shape, "paper"] = {
-            f"M = {each}": f"{paper.loc[shape, (each, 1)]} / {paper.loc[shape, (each, 2)]}" for each in densities
+            f"M = {each}": f"{paper.loc[shape, (each, 1)]} / {paper.loc[shape, (each, 2)]}"
+            for each in densities
         }
     return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -138,7 +152,12 @@ def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
 def law_table(table: pd.DataFrame) -> pd.DataFrame:
     """Return measured floor ÷ closed form per shape (rows) and density (columns), mean over seeds, and the largest deviation of
     one seed."""
-    ratio = (table["floor"] / table["law"]).groupby([table["shape"], table["samples"]], sort=False).mean().unstack("samples")
+    ratio = (
+        (table["floor"] / table["law"])
+        .groupby([table["shape"], table["samples"]], sort=False)
+        .mean()
+        .unstack("samples")
+    )
     spread = (table["floor"] / table["law"] - 1).abs().groupby(table["shape"], sort=False).max()
     return ratio.round(3).assign(**{"largest deviation of a seed %": (100 * spread).round(1)})
 
@@ -158,11 +177,15 @@ def floor_figure(table: pd.DataFrame, follow: Mapping[str, tuple[int, Sequence[i
     for axis, (shape, (dimension, ranks, name)) in zip(axes[0], follow.items(), strict=True):
         own = table[table["shape"] == shape]
         mean = tracked(table, shape, dimension, ranks)
-        axis.plot(mean.index, mean["floor"], color="#c0392b", marker="o", markersize=3, label="floor, measured")
+        axis.plot(
+            mean.index, mean["floor"], color="#c0392b", marker="o", markersize=3, label="floor, measured"
+        )
         axis.plot(mean.index, mean["law"], color="black", linestyle=":", label="floor, closed form")
         for number, rank in enumerate(ranks):
             column = f"h{dimension}_{rank}"
-            axis.plot(mean.index, mean[column], color=f"C{number}", marker="s", markersize=3, label=f"{name} {rank}")
+            axis.plot(
+                mean.index, mean[column], color=f"C{number}", marker="s", markersize=3, label=f"{name} {rank}"
+            )
             axis.scatter(own["samples"], own[column], s=4, color=f"C{number}", alpha=0.5, linewidths=0)
         axis.set(xscale="log", yscale="log", xlabel="samples M")
         axis.set_xticks(list(mean.index), [str(each) for each in mean.index], rotation=45)
@@ -185,7 +208,10 @@ def crossing_table(table: pd.DataFrame, follow: Mapping[str, tuple[int, Sequence
             rows.append(
                 {"shape": shape, "bar": f"{name} {rank}"}
                 | {f"M = {samples}": round(value, 2) for samples, value in margin.items()}
-                | {"lifetime": round(mean[f"h{dimension}_{rank}"].iloc[-1], 4), "clears the floor from M ≈": _crossing(margin)}
+                | {
+                    "lifetime": round(mean[f"h{dimension}_{rank}"].iloc[-1], 4),
+                    "clears the floor from M ≈": _crossing(margin),
+                }
             )
     return pd.DataFrame(rows).set_index(["shape", "bar"])
 
@@ -201,7 +227,9 @@ def _crossing(margin: pd.Series) -> str:
 
 
 def floor_table(
-    table: pd.DataFrame, shapes: Sequence[str] = ("torus", "double_torus"), densities: Sequence[int] = (2048, 20_000)
+    table: pd.DataFrame,
+    shapes: Sequence[str] = ("torus", "double_torus"),
+    densities: Sequence[int] = (2048, 20_000),
 ) -> pd.DataFrame:
     """Return measured floors (mean over seeds, radius / D) of the shapes beside the floors and spacings that the paper's text
     prints."""
@@ -225,7 +253,9 @@ def floor_table(
     return pd.DataFrame(rows).set_index(["shape", "M"])
 
 
-def second_void_table(shape: str, densities: Iterable[int] = (2048, 4096, 8192, 20_000), seed: int = 0) -> pd.DataFrame:
+def second_void_table(
+    shape: str, densities: Iterable[int] = (2048, 4096, 8192, 20_000), seed: int = 0
+) -> pd.DataFrame:
     """Return the two longest H2 bars of a clean surface against the density: significant count, margins (lifetime / floor), and
     half the second bar's lifetime, which is what leaving it unmatched costs in bottleneck distance."""
     table = staircase(surface(shape), densities, (seed,))

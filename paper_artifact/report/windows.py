@@ -17,7 +17,7 @@ from paper_artifact.evaluate.diagram import lifetimes
 from paper_artifact.report.figures import new_figure
 from paper_artifact.report.published import published
 from paper_artifact.report.staircase import MULTIPLIER, measure, surface
-from paper_artifact.study.protocol import protocol_of
+from paper_artifact.catalogue import protocol_of
 
 # Finite classes (H0, H1, H2) per shape. The external meshes' genera are certified; a bowl has no class of its own but reads as
 # a void with a rim.
@@ -84,7 +84,9 @@ def window_table(margins: pd.DataFrame) -> pd.DataFrame:
             best = _extreme(chosen[chosen["bundle"]], pick)
             key = "tightest_in_over_floor" if inside else "largest_out_over_floor"
             name = "tightest IN" if inside else "largest OUT"
-            row[name] = "—" if best is None else f"{best['margin']:.2f} ({NAMES[best['dimension']]} {best['rank']})"
+            row[name] = (
+                "—" if best is None else f"{best['margin']:.2f} ({NAMES[best['dimension']]} {best['rank']})"
+            )
             extremes = chosen.groupby("seed")["margin"].agg(pick)
             row[f"{which}, seeds"] = "—" if extremes.empty else f"{extremes.min():.2f}–{extremes.max():.2f}"
             row[f"paper's {which}"] = _printed(paper, shape, key)
@@ -111,7 +113,9 @@ def global_window(margins: pd.DataFrame, without: Sequence[tuple[str, int]] = ()
 
     without: (shape, dimension) features left out, to see what binds next.
     """
-    left_out = [(shape, dimension) in without for shape, dimension in zip(margins["shape"], margins["dimension"])]
+    left_out = [
+        (shape, dimension) in without for shape, dimension in zip(margins["shape"], margins["dimension"])
+    ]
     kept = margins[~np.array(left_out, dtype=bool)]
     rows = []
     bundles = kept[kept["bundle"]].assign(seed=BUNDLES)
@@ -119,7 +123,9 @@ def global_window(margins: pd.DataFrame, without: Sequence[tuple[str, int]] = ()
         low, high = _extreme(group[~group["in"]], "max"), _extreme(group[group["in"]], "min")
         rows.append(
             {
-                "source": {BUNDLES: "ours, the bundles' seeds", MEDIAN: "ours, median margins"}.get(seed, f"ours, seed {seed}"),
+                "source": {BUNDLES: "ours, the bundles' seeds", MEDIAN: "ours, median margins"}.get(
+                    seed, f"ours, seed {seed}"
+                ),
                 "k from": round(MULTIPLIER * low["margin"], 2),
                 "bound by (OUT)": _name(low),
                 "k to": round(MULTIPLIER * high["margin"], 2),
@@ -174,7 +180,9 @@ def window_figure(margins: pd.DataFrame) -> Figure:
     axis.set_yticks(range(len(shapes)), shapes, fontsize=8)
     axis.invert_yaxis()
     axis.set(xscale="log", xlabel="k at which the decision flips (6 × margin)")
-    axis.set_xticks([2, 3, 4, 5, 6, 8, 10, 15, 20, 30], ["2", "3", "4", "5", "6", "8", "10", "15", "20", "30"])
+    axis.set_xticks(
+        [2, 3, 4, 5, 6, 8, 10, 15, 20, 30], ["2", "3", "4", "5", "6", "8", "10", "15", "20", "30"]
+    )
     axis.minorticks_off()
     axis.grid(alpha=0.25)
     axis.legend(fontsize=7, loc="lower right")

@@ -57,9 +57,13 @@ class SceneConfig:
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-                raise InputError(f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}")
+                raise InputError(
+                    f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}"
+                )
         if not 0 < self.texture_frequency <= 1000:
-            raise InputError(f"the scene's texture_frequency must be in (0, 1000], got {self.texture_frequency}")
+            raise InputError(
+                f"the scene's texture_frequency must be in (0, 1000], got {self.texture_frequency}"
+            )
         background_colour(self.background)
 
 
@@ -104,7 +108,9 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
         try:
             os.rename(temporary, folder)
         except OSError:
-            if not _holds(folder, key, config.views):  # another process may have built the same scene meanwhile
+            if not _holds(
+                folder, key, config.views
+            ):  # another process may have built the same scene meanwhile
                 raise
     except OSError as error:
         raise InputError(
@@ -123,11 +129,17 @@ def _holds(folder: Path, key: str, views: int) -> bool:
     try:
         held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder} exists and is no scene of this package; choose another folder or remove it") from error
+        raise InputError(
+            f"{folder} exists and is no scene of this package; choose another folder or remove it"
+        ) from error
     if held != key:
-        raise InputError(f"{folder} holds the scene of another mesh or configuration; choose another folder or remove it")
+        raise InputError(
+            f"{folder} holds the scene of another mesh or configuration; choose another folder or remove it"
+        )
     if len(list((folder / "images").glob("*.png"))) < views or not (folder / GROUND_TRUTH).is_file():
-        raise InputError(f"the scene in {folder} has lost some of its files; remove the folder to build it again")
+        raise InputError(
+            f"the scene in {folder} has lost some of its files; remove the folder to build it again"
+        )
     return True
 
 
@@ -136,15 +148,24 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     cameras = fibonacci_cameras(mesh, config.views, config.size)
     names = [f"view_{index:03d}.png" for index in range(config.views)]
     (folder / "images").mkdir()
-    for name, camera in tqdm(list(zip(names, cameras)), desc=f"rendering {mesh.name}", unit="view", disable=not progress):
+    for name, camera in tqdm(
+        list(zip(names, cameras)), desc=f"rendering {mesh.name}", unit="view", disable=not progress
+    ):
         image = render_ground_truth(mesh, camera, background, config.supersample, config.texture_frequency)
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
-    positions, _, _ = sample_surface(mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud"))
+    positions, _, _ = sample_surface(
+        mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud")
+    )
     colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
     first = cameras[0]
     model = Model(
         cameras={
-            1: Intrinsics("PINHOLE", first.width, first.height, (first.focal_x, first.focal_y, first.centre_x, first.centre_y))
+            1: Intrinsics(
+                "PINHOLE",
+                first.width,
+                first.height,
+                (first.focal_x, first.focal_y, first.centre_x, first.centre_y),
+            )
         },
         images={
             index + 1: Pose(name, 1, camera.quaternion, camera.translation)

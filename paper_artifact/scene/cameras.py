@@ -65,7 +65,9 @@ def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
     return projection @ view
 
 
-def look_at(position: np.ndarray, target: np.ndarray, size: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
+def look_at(
+    position: np.ndarray, target: np.ndarray, size: int, field_of_view: float = FIELD_OF_VIEW
+) -> Camera:
     """A square camera of `size` pixels at `position`, looking at `target` (world units), the world's +z upwards.
 
     field_of_view in degrees over the width. Raises InputError when the view is along the z axis, where up is undefined.
@@ -74,7 +76,9 @@ def look_at(position: np.ndarray, target: np.ndarray, size: int, field_of_view: 
     distance = np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) <= 1e-9 * distance:
-        raise InputError("a camera may not look along the z axis: its up direction is undefined; move it aside")
+        raise InputError(
+            "a camera may not look along the z axis: its up direction is undefined; move it aside"
+        )
     forward = forward / distance
     right = right / np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])

@@ -93,7 +93,9 @@ def read_model(folder: Path | str) -> Model:
     paths = [folder / (name + suffix) for name in ("cameras", "images", "points3D")]
     for path in paths:
         if not path.is_file():
-            raise InputError(f"no COLMAP file at {path}; give the folder that holds sparse/0 with cameras, images and points3D")
+            raise InputError(
+                f"no COLMAP file at {path}; give the folder that holds sparse/0 with cameras, images and points3D"
+            )
     readers = _BINARY_READERS if suffix == ".bin" else _TEXT_READERS
     parts = []
     for path, reader in zip(paths, readers):
@@ -104,7 +106,9 @@ def read_model(folder: Path | str) -> Model:
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
         except (ValueError, IndexError, OverflowError, struct.error) as error:
-            raise InputError(f"{path} is damaged or no COLMAP file ({error}); export the model again") from error
+            raise InputError(
+                f"{path} is damaged or no COLMAP file ({error}); export the model again"
+            ) from error
     cameras, images, points = parts
     for pose in images.values():
         if pose.camera not in cameras:
@@ -195,7 +199,9 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
         if not 0 <= number < len(MODELS):
             raise ValueError(f"unknown camera model {number}")
         _pinhole_only(MODELS[number], camera)
-        cameras[camera] = _checked_camera(MODELS[number], width, height, stream.take("d" * PARAMETERS[MODELS[number]]))
+        cameras[camera] = _checked_camera(
+            MODELS[number], width, height, stream.take("d" * PARAMETERS[MODELS[number]])
+        )
     stream.end()
     return cameras
 
@@ -225,7 +231,11 @@ def _read_points_binary(data: bytes) -> tuple[np.ndarray, ...]:
 
 
 def _rows(data: bytes) -> list[str]:
-    return [line for line in data.decode("utf-8").splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    return [
+        line
+        for line in data.decode("utf-8").splitlines()
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
 
 
 def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
@@ -263,7 +273,9 @@ def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
 
 def _write_cameras_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.cameras)) + b"".join(
-        struct.pack(f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters)
+        struct.pack(
+            f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters
+        )
         for camera, c in model.cameras.items()
     )
 
@@ -285,17 +297,31 @@ def _write_points_binary(model: Model) -> bytes:
 
 
 def _write_cameras_text(model: Model) -> str:
-    rows = [f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}" for camera, c in model.cameras.items()]
+    rows = [
+        f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}"
+        for camera, c in model.cameras.items()
+    ]
     return "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows]) + "\n"
 
 
 def _write_images_text(model: Model) -> str:
-    rows = [f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n" for image, p in model.images.items()]
-    return "\n".join(["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[]", *rows]) + "\n"
+    rows = [
+        f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n"
+        for image, p in model.images.items()
+    ]
+    return (
+        "\n".join(
+            ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[]", *rows]
+        )
+        + "\n"
+    )
 
 
 def _write_points_text(model: Model) -> str:
-    rows = [f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}" for point, xyz, rgb, error in _point_rows(model)]
+    rows = [
+        f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}"
+        for point, xyz, rgb, error in _point_rows(model)
+    ]
     return "\n".join(["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]", *rows]) + "\n"
 
 
@@ -304,7 +330,9 @@ def _exact(values: Iterable[float]) -> str:
 
 
 def _point_rows(model: Model) -> zip:
-    return zip(model.point_ids.tolist(), model.positions.tolist(), model.colours.tolist(), model.errors.tolist())
+    return zip(
+        model.point_ids.tolist(), model.positions.tolist(), model.colours.tolist(), model.errors.tolist()
+    )
 
 
 _BINARY_READERS = (_read_cameras_binary, _read_images_binary, _read_points_binary)

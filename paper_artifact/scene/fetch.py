@@ -56,7 +56,12 @@ def mesh_path(key: str, *, mirror: Path | str | None = None, downloads: Path = D
 
 
 def fetch(
-    key: str, *, mirror: Path | str | None = None, downloads: Path = DOWNLOADS, quiet: bool = False, base_url: str = RAW
+    key: str,
+    *,
+    mirror: Path | str | None = None,
+    downloads: Path = DOWNLOADS,
+    quiet: bool = False,
+    base_url: str = RAW,
 ) -> Fetched:
     """Like `mesh_path`, and says where the bytes came from. quiet: no progress bar; base_url: another raw-file server."""
     entry = source(key)
@@ -64,7 +69,12 @@ def fetch(
         raise InputError(f"the mesh '{key}' cannot be had: {entry.notes}; leave it out")
     archive = downloads / entry.relative_path
     mesh = downloads / entry.relative_mesh_path
-    if entry.member and _has_hash(mesh, entry.member_sha256) or not entry.member and _has_hash(mesh, entry.sha256):
+    if (
+        entry.member
+        and _has_hash(mesh, entry.member_sha256)
+        or not entry.member
+        and _has_hash(mesh, entry.sha256)
+    ):
         return Fetched(mesh, "already there")
     origin = "already there"
     if not _has_hash(archive, entry.sha256):
@@ -79,7 +89,9 @@ def _bring(entry: Source, target: Path, mirror: Path | str | None, quiet: bool, 
     if asked is not None:
         folder = Path(asked).expanduser()
         if not folder.is_dir():
-            raise InputError(f"the mirror {folder} is no folder; give the folder that holds <owner>+<repository>/<path>")
+            raise InputError(
+                f"the mirror {folder} is no folder; give the folder that holds <owner>+<repository>/<path>"
+            )
     elif (SIBLING_MIRROR / entry.relative_path).is_file():
         folder = SIBLING_MIRROR
     else:
@@ -127,7 +139,14 @@ def _receive(entry: Source, stream: BinaryIO, target: Path, origin: str, quiet: 
     with (
         atomic_path(target) as temporary,
         open(temporary, "wb") as out,
-        tqdm(total=entry.bytes, desc=f"fetch {entry.key}", unit="B", unit_scale=True, leave=False, disable=quiet) as bar,
+        tqdm(
+            total=entry.bytes,
+            desc=f"fetch {entry.key}",
+            unit="B",
+            unit_scale=True,
+            leave=False,
+            disable=quiet,
+        ) as bar,
     ):
         # One byte more than announced is enough to know that the file is another one.
         while length <= entry.bytes and (chunk := stream.read(min(CHUNK, entry.bytes + 1 - length))):
@@ -152,7 +171,9 @@ def _write(out: BinaryIO, chunk: bytes, target: Path) -> None:
     try:
         out.write(chunk)
     except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror}; free some space, or choose another folder") from error
+        raise InputError(
+            f"cannot write {target}: {error.strerror}; free some space, or choose another folder"
+        ) from error
 
 
 def _unpack(entry: Source, archive: Path, mesh: Path) -> None:
@@ -160,7 +181,9 @@ def _unpack(entry: Source, archive: Path, mesh: Path) -> None:
         with zipfile.ZipFile(archive) as opened:
             data = opened.read(entry.member)
     except (zipfile.BadZipFile, KeyError, OSError) as error:
-        raise InputError(f"{archive} does not hold {entry.member}; delete the file and fetch again") from error
+        raise InputError(
+            f"{archive} does not hold {entry.member}; delete the file and fetch again"
+        ) from error
     if hashlib.sha256(data).hexdigest() != entry.member_sha256:
         raise InputError(
             f"{entry.member} in {archive} is not the pinned one (sha256 {entry.member_sha256} expected); "

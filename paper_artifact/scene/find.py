@@ -23,7 +23,9 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
     if shape in SHAPES:
         return make_shape(shape)
     if shape == POT:
-        from paper_artifact.ingest.hot_pot import pot_solid  # scikit-image and compiled kernels: only when needed
+        from paper_artifact.ingest.hot_pot import (
+            pot_solid,
+        )  # scikit-image and compiled kernels: only when needed
 
         return replace(pot_solid().shell, name=shape)
     if shape in sources():

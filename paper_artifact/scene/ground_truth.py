@@ -31,7 +31,9 @@ def render_ground_truth(
     matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
     clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]
     height, width = camera.height * supersample, camera.width * supersample
-    triangle, b0, b1, _ = rasterize_opaque(clip.astype(np.float32), mesh.faces.astype(np.int32), height, width)
+    triangle, b0, b1, _ = rasterize_opaque(
+        clip.astype(np.float32), mesh.faces.astype(np.int32), height, width
+    )
     covered = np.flatnonzero(triangle)
     corner = mesh.vertices.astype(np.float32)[mesh.faces[triangle.reshape(-1)[covered] - 1]]
     first, second = b0.reshape(-1)[covered, None], b1.reshape(-1)[covered, None]

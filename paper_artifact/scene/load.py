@@ -63,13 +63,16 @@ def load_scene(path: Path | str) -> Scene:
     if len(set(names)) < len(names):
         raise InputError(f"{path} lists an image name twice; export the COLMAP model again")
     if len(model.positions) < 4:
-        raise InputError(f"{path} has an SfM cloud of {len(model.positions)} points; at least 4 are needed to start from")
+        raise InputError(
+            f"{path} has an SfM cloud of {len(model.positions)} points; at least 4 are needed to start from"
+        )
     description = _description(path)
     background = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
     radius = float(description.get("radius", 0.0)) or _cloud_radius(model.positions)
     cameras = [model.camera(image) for image in order]
     images = [
-        _read_image(path / "images" / name, camera.width / camera.height, background) for name, camera in zip(names, cameras)
+        _read_image(path / "images" / name, camera.width / camera.height, background)
+        for name, camera in zip(names, cameras)
     ]
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
@@ -80,7 +83,9 @@ def load_scene(path: Path | str) -> Scene:
         path=path,
         names=names,
         images=np.stack(images),
-        world_to_clip=np.stack([world_to_clip(camera, NEAR * radius, FAR * radius) for camera in cameras]).astype(np.float32),
+        world_to_clip=np.stack(
+            [world_to_clip(camera, NEAR * radius, FAR * radius) for camera in cameras]
+        ).astype(np.float32),
         camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
         background=background,
         points=model.positions.astype(np.float32),
@@ -105,8 +110,19 @@ def load_ground_truth(path: Path | str) -> Mesh:
         # Opened here, because numpy leaves the file open when it is no sound archive.
         with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as stored:
             vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{file} is damaged ({error}); remove the scene's folder and build it again") from error
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(
+            f"{file} is damaged ({error}); remove the scene's folder and build it again"
+        ) from error
     known = tuple(int(value) for value in betti)
     return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)
 
@@ -118,11 +134,20 @@ def _description(path: Path) -> dict:
     try:
         description = json.loads(file.read_text(encoding="utf-8"))
         background = np.array(description["background"], dtype=np.float64)
-        sound = background.shape == (3,) and 0 <= background.min() and background.max() <= 1 and description["radius"] > 0
+        sound = (
+            background.shape == (3,)
+            and 0 <= background.min()
+            and background.max() <= 1
+            and description["radius"] > 0
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file} is damaged ({error}); remove the scene's folder and build it again") from error
+        raise InputError(
+            f"{file} is damaged ({error}); remove the scene's folder and build it again"
+        ) from error
     if not sound:
-        raise InputError(f"{file} has a background or radius out of range; remove the scene's folder and build it again")
+        raise InputError(
+            f"{file} has a background or radius out of range; remove the scene's folder and build it again"
+        )
     return description
 
 
@@ -147,12 +172,16 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
             else:
                 raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
     except FileNotFoundError as error:
-        raise InputError(f"no image at {file}, which the COLMAP model lists; copy the images folder too") from error
+        raise InputError(
+            f"no image at {file}, which the COLMAP model lists; copy the images folder too"
+        ) from error
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{file} is damaged or no image; copy it again") from error
     height, width = pixels.shape[:2]
     if abs(width - height * aspect) > max(1.0, aspect):
-        raise InputError(f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images")
+        raise InputError(
+            f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
+        )
     return pixels

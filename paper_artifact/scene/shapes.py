@@ -48,7 +48,8 @@ def cylinder(segments: int = 96) -> Mesh:
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate(
-        [np.column_stack([ring, np.full(segments, z)]) for z in (-1.0, 1.0)] + [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]
+        [np.column_stack([ring, np.full(segments, z)]) for z in (-1.0, 1.0)]
+        + [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]
     )
     low = np.arange(segments)
     after = (low + 1) % segments
@@ -117,7 +118,10 @@ def double_torus(around: int = 160, tube: int = 36) -> Mesh:
     faces = _grid_faces(np.arange(len(half)).reshape(points.shape[:2]), wrap_rows=False)
     faces = faces[:, ::-1]  # theta falls along the columns
     return checked_mesh(
-        np.concatenate([half, half * [-1, 1, 1]]), np.concatenate([faces, faces[:, ::-1] + len(half)]), "double_torus", (1, 4, 1)
+        np.concatenate([half, half * [-1, 1, 1]]),
+        np.concatenate([faces, faces[:, ::-1] + len(half)]),
+        "double_torus",
+        (1, 4, 1),
     )
 
 

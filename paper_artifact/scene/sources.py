@@ -54,7 +54,11 @@ class Source:
     @property
     def relative_mesh_path(self) -> Path:
         """Where the mesh itself lies below the downloads folder: the file, or its unpacked member beside it."""
-        return self.relative_path.with_name(PurePosixPath(self.member).name) if self.member else self.relative_path
+        return (
+            self.relative_path.with_name(PurePosixPath(self.member).name)
+            if self.member
+            else self.relative_path
+        )
 
 
 @lru_cache(maxsize=None)
@@ -64,13 +68,17 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
         with open(table, newline="", encoding="utf-8") as handle:
             rows = list(csv.DictReader(handle))
     except OSError as error:
-        raise InputError(f"cannot read the mesh table {table}: {error.strerror}; work in a checkout of the repository") from error
+        raise InputError(
+            f"cannot read the mesh table {table}: {error.strerror}; work in a checkout of the repository"
+        ) from error
     result = {}
     for number, row in enumerate(rows, start=2):
         try:
             entry = Source(**{**row, "bytes": int(row["bytes"] or 0)})
         except (TypeError, ValueError, KeyError) as error:
-            raise InputError(f"line {number} of the mesh table {table} is damaged; restore it with git") from error
+            raise InputError(
+                f"line {number} of the mesh table {table} is damaged; restore it with git"
+            ) from error
         if entry.role not in ROLES:
             raise InputError(
                 f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; use one of {', '.join(ROLES)}"
@@ -84,5 +92,7 @@ def source(key: str, table: Path = TABLE) -> Source:
     known = sources(table)
     if key not in known:
         near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or list(known)
-        raise InputError(f"no mesh is called '{key}'; known are {', '.join(near)} (all: python -m paper_artifact fetch --list)")
+        raise InputError(
+            f"no mesh is called '{key}'; known are {', '.join(near)} (all: python -m paper_artifact fetch --list)"
+        )
     return known[key]

@@ -18,7 +18,9 @@ WAVES_PER_OCTAVE = 3
 DARKEST, BRIGHTEST = 0.08, 0.92  # stays apart from black and white backgrounds
 
 
-def solid_texture(positions: np.ndarray, centre: np.ndarray, radius: float, frequency: float = 1.0) -> np.ndarray:
+def solid_texture(
+    positions: np.ndarray, centre: np.ndarray, radius: float, frequency: float = 1.0
+) -> np.ndarray:
     """Colours (n,3) float32 in [.08, .92] at world positions (n,3).
 
     `centre` (3,) and `radius` are the scene's bounding sphere in world units, so that the pattern follows its scale;
@@ -46,6 +48,12 @@ def _waves() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     directions = generator.standard_normal((3, count, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     numbers = np.repeat([number for number, _ in OCTAVES], WAVES_PER_OCTAVE)
-    amplitudes = np.repeat([amplitude for _, amplitude in OCTAVES], WAVES_PER_OCTAVE) / np.sqrt(WAVES_PER_OCTAVE)
+    amplitudes = np.repeat([amplitude for _, amplitude in OCTAVES], WAVES_PER_OCTAVE) / np.sqrt(
+        WAVES_PER_OCTAVE
+    )
     phases = generator.random((3, count)) * 2 * np.pi
-    return ((directions * numbers[None, :, None]).astype(np.float32), phases.astype(np.float32), amplitudes.astype(np.float32))
+    return (
+        (directions * numbers[None, :, None]).astype(np.float32),
+        phases.astype(np.float32),
+        amplitudes.astype(np.float32),
+    )

@@ -52,7 +52,9 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
             f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D"
         )
     if count < 2:
-        raise InputError(f"a soup starts with at least two triangles, got {count}; the spacing of one point is not defined")
+        raise InputError(
+            f"a soup starts with at least two triangles, got {count}; the spacing of one point is not defined"
+        )
     count = min(count, len(points))
     draws = stream(seed, "initial-soup")
     chosen = farthest_points(points, count - int(count * RANDOM_PART), int(draws.integers(len(points))))
@@ -67,5 +69,8 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     rotation = Rotation.random(count, rng=draws).as_matrix()
     corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
     return Soup(
-        torch.from_numpy(corners.astype(np.float32)), torch.zeros(count, 3, 7), torch.zeros(count, 3), initial_mlp(seed)
+        torch.from_numpy(corners.astype(np.float32)),
+        torch.zeros(count, 3, 7),
+        torch.zeros(count, 3),
+        initial_mlp(seed),
     ).trainable()

@@ -20,8 +20,12 @@ from paper_artifact.raster.visibility import ViewRaster, to_clip
 from paper_artifact.soup.split import split_long_edges
 from paper_artifact.soup.state import Soup
 
-PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (corners (T,3,3), counts (T,)) → priority (T,): lowest goes first
-SplitWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (corners (T,3,3), visible (T,) bool) → split (T,) bool
+PruneWeight = Callable[
+    [np.ndarray, np.ndarray], np.ndarray
+]  # (corners (T,3,3), counts (T,)) → priority (T,): lowest goes first
+SplitWeight = Callable[
+    [np.ndarray, np.ndarray], np.ndarray
+]  # (corners (T,3,3), visible (T,) bool) → split (T,) bool
 
 
 def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -75,7 +79,9 @@ class Resampler:
             counts = visible_pixels(soup, world_to_clip, *half).sum(0)
             priority = np.asarray(self.prune_weight(corners, counts))
             if priority.shape != counts.shape or np.isnan(priority).any():
-                raise RuntimeError(f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN")
+                raise RuntimeError(
+                    f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN"
+                )
             order = np.argsort(priority, kind="stable")
             soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget :])))
         pruned = len(soup)
@@ -94,7 +100,12 @@ class Resampler:
         origins = np.arange(len(corners))
         for matrix, wanted in zip(world_to_clip, chosen):
             corners, origins = split_long_edges(
-                corners, origins, wanted[origins], np.asarray(matrix, np.float64), width / height, 2 * self.split_height
+                corners,
+                origins,
+                wanted[origins],
+                np.asarray(matrix, np.float64),
+                width / height,
+                2 * self.split_height,
             )
         if len(corners) == len(soup):
             return soup
@@ -103,7 +114,9 @@ class Resampler:
     def _check(self, soup: Soup, before: int, pruned: int) -> None:
         sizes = {len(soup.vertices), len(soup.features), len(soup.opacity)}
         if len(sizes) != 1 or len(soup) < pruned or pruned == 0 or pruned != min(before, self.budget):
-            raise RuntimeError(f"resampling broke the soup: sizes {sizes}, {pruned} kept of a budget of {self.budget}")
+            raise RuntimeError(
+                f"resampling broke the soup: sizes {sizes}, {pruned} kept of a budget of {self.budget}"
+            )
         if not torch.isfinite(soup.vertices).all():
             raise RuntimeError("resampling met vertices that are not finite")
 

@@ -12,7 +12,9 @@ import numpy as np
 @numba.njit(inline="always")
 def _project(matrix, point, out):
     for row in range(4):
-        out[row] = matrix[row, 0] * point[0] + matrix[row, 1] * point[1] + matrix[row, 2] * point[2] + matrix[row, 3]
+        out[row] = (
+            matrix[row, 0] * point[0] + matrix[row, 1] * point[1] + matrix[row, 2] * point[2] + matrix[row, 3]
+        )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

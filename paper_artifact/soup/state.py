@@ -37,7 +37,9 @@ class Soup:
         positions."""
         with torch.no_grad():
             moved = self.vertices[triangles] if vertices is None else vertices
-            return Soup(moved.clone(), self.features[triangles].clone(), self.opacity[triangles].clone(), self.mlp).trainable()
+            return Soup(
+                moved.clone(), self.features[triangles].clone(), self.opacity[triangles].clone(), self.mlp
+            ).trainable()
 
     def trainable(self) -> "Soup":
         """Return the same soup with every tensor a leaf that requires a gradient."""
@@ -70,7 +72,9 @@ def save_soup(path: Path | str, soup: Soup) -> None:
     arrays = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
     arrays |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
     with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:
-        np.savez_compressed(handle, **{name: tensor.detach().cpu().numpy() for name, tensor in arrays.items()})
+        np.savez_compressed(
+            handle, **{name: tensor.detach().cpu().numpy() for name, tensor in arrays.items()}
+        )
 
 
 def load_soup(path: Path | str) -> Soup:
@@ -79,9 +83,17 @@ def load_soup(path: Path | str) -> Soup:
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
-        with open(path, "rb") as handle, np.load(handle) as data:  # np.load alone leaks the handle of a damaged file
-            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in ("vertices", "features", "opacity")]
-            mlp = tuple(torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES)))
+        with (
+            open(path, "rb") as handle,
+            np.load(handle) as data,
+        ):  # np.load alone leaks the handle of a damaged file
+            tensors = [
+                torch.from_numpy(data[name].astype(np.float32))
+                for name in ("vertices", "features", "opacity")
+            ]
+            mlp = tuple(
+                torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES))
+            )
     except Exception as error:  # numpy raises many kinds for a damaged archive
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]

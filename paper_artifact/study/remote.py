@@ -6,7 +6,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from paper_artifact.record.record import read_record
+from paper_artifact.record.store import read_record
 from paper_artifact.study.worker import failure_of, start_run
 
 

@@ -18,7 +18,11 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         (("sphere", "torus"), ("C7", "C7h"), range(3)),
     ),
     "table2": (
-        (("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight", "pot"), ("C0", "C1", "C2"), range(3)),
+        (
+            ("bob", "rocker-arm", "spot", "fandisk", "armadillo", "horse", "eight", "pot"),
+            ("C0", "C1", "C2"),
+            range(3),
+        ),
         (("bob",), ("C3",), range(3)),  # the text of §5.1: no ramp, off the analytic family
     ),
     "bowls": ((("bowl_narrow", "bowl_wide"), ("C0", "C1", "C2"), range(3)),),
@@ -26,7 +30,10 @@ STUDIES: dict[str, tuple[Block, ...]] = {
 
 
 def study_configs(
-    name: str, shapes: list[str] | None = None, conditions: list[str] | None = None, seeds: list[int] | None = None
+    name: str,
+    shapes: list[str] | None = None,
+    conditions: list[str] | None = None,
+    seeds: list[int] | None = None,
 ) -> list[RunConfig]:
     """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The lists restrict it.
 
@@ -38,14 +45,18 @@ def study_configs(
         known = list(dict.fromkeys(value for block in STUDIES[name] for value in block[position]))
         unknown = [str(value) for value in given or () if value not in known]
         if unknown:
-            raise InputError(f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}")
+            raise InputError(
+                f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}"
+            )
     configs = [
         default_config(shape, condition=condition, seed=seed)
         for block_shapes, block_conditions, block_seeds in STUDIES[name]
         for seed in block_seeds
         for shape in block_shapes
         for condition in block_conditions
-        if shape in (shapes or [shape]) and condition in (conditions or [condition]) and seed in (seeds or [seed])
+        if shape in (shapes or [shape])
+        and condition in (conditions or [condition])
+        and seed in (seeds or [seed])
     ]
     if not configs:
         raise InputError(

@@ -13,10 +13,10 @@ from statistics import mean
 from typing import Callable, Iterator
 
 from paper_artifact.errors import InputError
-from paper_artifact.record.record import read_record, record_path, write_record
+from paper_artifact.record.store import read_record, record_path, write_record
 from paper_artifact.study.worker import failure_of, start_run
 from paper_artifact.train.config import RunConfig
-from paper_artifact.train.run import find_mesh, with_condition
+from paper_artifact.pipeline import find_mesh, with_condition
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,21 @@ class Estimate:
         """Return the seconds left, None while nothing is known. Runs in progress count in full."""
         if not self._seconds and self._left:
             return None
-        common = mean(value for values in self._seconds.values() for value in values) if self._seconds else 0.0
-        total = sum(mean(self._seconds[condition]) if condition in self._seconds else common for condition in self._left)
+        common = (
+            mean(value for values in self._seconds.values() for value in values) if self._seconds else 0.0
+        )
+        total = sum(
+            mean(self._seconds[condition]) if condition in self._seconds else common
+            for condition in self._left
+        )
         return total / max(1, min(self._workers, len(self._left)))
 
     def text(self) -> str:
         """Return "about N min left", or that it is not known yet."""
         seconds = self.seconds()
-        return "time left unknown until a run ends" if seconds is None else f"about {seconds / 60:.0f} min left"
+        return (
+            "time left unknown until a run ends" if seconds is None else f"about {seconds / 60:.0f} min left"
+        )
 
 
 def run_processes(todo: list[RunConfig], results: Path, workers: int, device: str) -> Iterator[Outcome]:
@@ -109,11 +116,15 @@ def connect(scheduler: str):
     try:
         from dask.distributed import Client
     except ModuleNotFoundError as error:
-        raise InputError("--executor dask needs the optional extra: pip install 'paper_artifact[cluster]'") from error
+        raise InputError(
+            "--executor dask needs the optional extra: pip install 'paper_artifact[cluster]'"
+        ) from error
     try:
         return Client(scheduler, timeout="10s")
     except (OSError, ValueError) as error:
-        raise InputError(f"no Dask scheduler at {scheduler} ({error}); start one with `dask scheduler`") from error
+        raise InputError(
+            f"no Dask scheduler at {scheduler} ({error}); start one with `dask scheduler`"
+        ) from error
 
 
 def run_dask(todo: list[RunConfig], results: Path, client, device: str) -> Iterator[Outcome]:
@@ -160,12 +171,18 @@ def sweep(
         if report:
             report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
         with closing(
-            run_processes(todo, results, workers, device) if client is None else run_dask(todo, results, client, device)
+            run_processes(todo, results, workers, device)
+            if client is None
+            else run_dask(todo, results, client, device)
         ) as running:
             for outcome in running:
                 outcomes.append(outcome)
                 estimate.ended(outcome)
                 if report:
                     name = f"{outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}"
-                    report(f"{name} {'FAILED' if outcome.failure else 'done'}; {estimate.text()}", len(outcomes), len(todo))
+                    report(
+                        f"{name} {'FAILED' if outcome.failure else 'done'}; {estimate.text()}",
+                        len(outcomes),
+                        len(todo),
+                    )
     return outcomes

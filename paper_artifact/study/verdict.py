@@ -140,7 +140,11 @@ def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> 
             f"a group needs at least two shapes with C0 and C1 each; missing: {', '.join(absent) or 'a second member'}"
         )
     ratios = [verdicts[name].ratio for name in members]
-    return float(np.mean(ratios)), float(np.std(ratios, ddof=1)), sum(verdicts[name].passed for name in members)
+    return (
+        float(np.mean(ratios)),
+        float(np.std(ratios, ddof=1)),
+        sum(verdicts[name].passed for name in members),
+    )
 
 
 def _by_shape(rows: Rows) -> dict[str, list[dict]]:
@@ -152,7 +156,9 @@ def _by_shape(rows: Rows) -> dict[str, list[dict]]:
         row = {name: None if _unknown(value) else value for name, value in given.items()}
         lacking = [name for name in ("shape", "condition", "seed", "tail") if row.get(name) is None]
         if lacking or not math.isfinite(row["tail"]) or row["tail"] < 0:
-            raise InputError(f"a row of the verdict needs shape, condition, seed and a finite tail, got {dict(given)}")
+            raise InputError(
+                f"a row of the verdict needs shape, condition, seed and a finite tail, got {dict(given)}"
+            )
         key = (row["shape"], row["condition"], int(row["seed"]))
         if key in seen:
             raise InputError(f"{key[0]} {key[1]} has seed {key[2]} twice; keep one record of each run")
@@ -189,14 +195,20 @@ def _arms(group: list[dict]) -> dict[str, Arm]:
 def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
     dimensions = {int(row["dimension"]) for row in group if row.get("dimension") is not None}
     if len(dimensions) > 1:
-        raise InputError(f"the rows of {shape} have tails in dimensions {sorted(dimensions)}; a verdict needs one")
+        raise InputError(
+            f"the rows of {shape} have tails in dimensions {sorted(dimensions)}; a verdict needs one"
+        )
     arms = _arms(group)
     expected = {row["condition"]: row["expected"] for row in group if row.get("expected") is not None}
     phantoms, missing = {}, {}
     for condition, arm in arms.items():
         if condition in expected and None not in arm.counts:
-            phantoms[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n > expected[condition])
-            missing[condition] = tuple(s for s, n in zip(arm.seeds, arm.counts, strict=True) if n < expected[condition])
+            phantoms[condition] = tuple(
+                s for s, n in zip(arm.seeds, arm.counts, strict=True) if n > expected[condition]
+            )
+            missing[condition] = tuple(
+                s for s, n in zip(arm.seeds, arm.counts, strict=True) if n < expected[condition]
+            )
     common = {
         "shape": shape,
         "dimension": dimensions.pop() if dimensions else None,
@@ -211,7 +223,10 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
     loss, baseline = arms[LOSS], arms[BASELINE]
     rivals = [BASELINE, *present]
     below = {name: loss.mean < arms[name].mean for name in rivals}
-    disjoint = {name: max(loss.tails) < min(arms[name].tails) or min(loss.tails) > max(arms[name].tails) for name in rivals}
+    disjoint = {
+        name: max(loss.tails) < min(arms[name].tails) or min(loss.tails) > max(arms[name].tails)
+        for name in rivals
+    }
     sigmas = {name: welch_sigma(arms[name].tails, loss.tails) for name in rivals}
     ratio = None
     if loss.chamfer is not None and baseline.chamfer:

@@ -18,9 +18,22 @@ def start_run(values: dict, results: Path | str, device: str) -> subprocess.Pope
 
     The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process holds open.
     """
-    command = [sys.executable, "-m", "paper_artifact.study.worker", json.dumps(values), str(results), device, "watched"]
+    command = [
+        sys.executable,
+        "-m",
+        "paper_artifact.study.worker",
+        json.dumps(values),
+        str(results),
+        device,
+        "watched",
+    ]
     return subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
     )
 
 
@@ -49,7 +62,7 @@ def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
     """Run the configuration (a dict) and return its record; one CPU thread."""
     import torch
 
-    from paper_artifact.train.run import run
+    from paper_artifact.pipeline import run
 
     torch.set_num_threads(1)
     return run(config_from(values), results=Path(results), device=device)

@@ -1,49 +1,15 @@
-"""Alpha persistence with gradients, the topology loss, its plan, target bundle and conditions; usable without scene or trainer.
+"""The topology loss on top of `paper_artifact.alpha`: target bundle, plan, loss; usable without scene or trainer.
 
-    from paper_artifact.topology import TopologyLoss, alpha_diagrams, alpha_persistence, build_bundle
+from paper_artifact.topology import TopologyLoss, build_bundle
 
-Names load their module on first use, so importing the package costs nothing.
+loss = TopologyLoss(build_bundle(target_points, diagonal))
+loss(points).backward()
 """
 
-from __future__ import annotations
-
-import importlib
-
-_HOME = {
-    "alpha_persistence": "persistence",
-    "Pairs": "persistence",
-    "alpha_diagrams": "diagrams",
-    "DiagramTensor": "diagrams",
-    "median_spacing": "floor",
-    "measurement_floor": "floor",
-    "uniform_spacing": "floor",
-    "significant": "floor",
-    "Bundle": "bundle",
-    "build_bundle": "bundle",
-    "build_from_mesh": "bundle",
-    "load_bundle": "bundle",
-    "FrozenSamples": "samples",
-    "draw_samples": "samples",
-    "match_bars": "matching",
-    "recruit": "matching",
-    "Plan": "plan",
-    "PlanOptions": "plan",
-    "build_plan": "plan",
-    "TopologyLoss": "loss",
-    "TopologyTerm": "term",
-    "make_term": "term",
-    "Condition": "conditions",
-    "CONDITIONS": "conditions",
-    "get_condition": "conditions",
-}
-__all__ = sorted(_HOME)
-
-
-def __getattr__(name: str):
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(set(globals()) | set(__all__))
+from paper_artifact.topology.bundle import Bundle as Bundle
+from paper_artifact.topology.bundle import build_bundle as build_bundle
+from paper_artifact.topology.bundle import build_from_mesh as build_from_mesh
+from paper_artifact.topology.bundle import load_bundle as load_bundle
+from paper_artifact.topology.loss import TopologyLoss as TopologyLoss
+from paper_artifact.topology.plan import Plan as Plan
+from paper_artifact.topology.plan import build_plan as build_plan

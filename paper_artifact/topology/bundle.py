@@ -96,7 +96,7 @@ def build_bundle(
     is pushed to the diagonal. k: the floor is k·r_med. method: see `alpha_persistence`.
     Raises InputError when a dimension of `dimensions` has no significant bar, when none has, or for bad points.
     """
-    from paper_artifact.topology.persistence import alpha_persistence  # compiled kernels: only when needed
+    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     points = np.ascontiguousarray(points, dtype=np.float64)
     floor = measurement_floor(points, diagonal, k)
@@ -112,7 +112,9 @@ def build_bundle(
     chosen = tuple(found) if dimensions is None else tuple(sorted(set(dimensions)))
     for dimension in chosen:
         if dimension not in (0, 1, 2):
-            raise InputError(f"dimension {dimension} does not exist in three-dimensional space; choose among 0, 1 and 2")
+            raise InputError(
+                f"dimension {dimension} does not exist in three-dimensional space; choose among 0, 1 and 2"
+            )
         if not len(bars[dimension]):
             raise InputError(
                 f"{shape!r} has no significant bar in dimension {dimension} at M = {len(points)} "
@@ -154,7 +156,9 @@ def build_from_mesh(
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     diagonal = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
     points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
-    return build_bundle(points, diagonal, shape=shape, seed=seed, source=fingerprint(vertices, faces), **options)
+    return build_bundle(
+        points, diagonal, shape=shape, seed=seed, source=fingerprint(vertices, faces), **options
+    )
 
 
 def load_bundle(path: Path | str) -> Bundle:
@@ -186,7 +190,9 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name} is damaged ({type(error).__name__}: {error}); build it again") from error
-    numbers = np.concatenate([each.ravel() for each in bars] + [[bundle.floor, bundle.floor_multiplier, bundle.diagonal]])
+    numbers = np.concatenate(
+        [each.ravel() for each in bars] + [[bundle.floor, bundle.floor_multiplier, bundle.diagonal]]
+    )
     lengths = np.concatenate([each[:, 1] - each[:, 0] for each in bars]) if bars else np.zeros(0)
     valid = (
         len(bars) == 3
@@ -199,7 +205,9 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
         and set(bundle.dimensions) <= {0, 1, 2}
     )
     if not valid:
-        raise InputError(f"{name} is damaged (bars below its own floor, or a number out of range); build it again")
+        raise InputError(
+            f"{name} is damaged (bars below its own floor, or a number out of range); build it again"
+        )
     return bundle
 
 

@@ -43,7 +43,8 @@ class _Repulsion(torch.autograd.Function):
         force = slope[:, None] * difference
         gradient = np.column_stack(
             [
-                np.bincount(pairs[:, 0], force[:, axis], len(points)) - np.bincount(pairs[:, 1], force[:, axis], len(points))
+                np.bincount(pairs[:, 0], force[:, axis], len(points))
+                - np.bincount(pairs[:, 1], force[:, axis], len(points))
                 for axis in range(3)
             ]
         )

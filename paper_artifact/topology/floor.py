@@ -19,7 +19,9 @@ def median_spacing(points: np.ndarray) -> float:
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(f"the median spacing needs at least two points of shape (n, 3), got {points.shape}; draw more samples")
+        raise InputError(
+            f"the median spacing needs at least two points of shape (n, 3), got {points.shape}; draw more samples"
+        )
     if not np.isfinite(points).all():
         raise InputError("the points hold a coordinate that is not finite; remove it before measuring")
     distances, _ = cKDTree(points).query(points, k=2)
@@ -33,7 +35,9 @@ def measurement_floor(points: np.ndarray, diagonal: float, k: float = 6.0) -> fl
     Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal that is not positive.
     """
     if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal")
+        raise InputError(
+            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
+        )
     return k * median_spacing(points) / float(diagonal)
 
 

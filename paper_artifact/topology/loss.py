@@ -26,11 +26,15 @@ class TopologyLoss:
     noise. Further options: `PlanOptions`. Raises InputError for an unknown option or fallback "denser", which needs a surface.
     """
 
-    def __init__(self, bundle: Bundle, *, refresh_every: int = 10, noise: float = 0.0, seed: int = 0, **options) -> None:
+    def __init__(
+        self, bundle: Bundle, *, refresh_every: int = 10, noise: float = 0.0, seed: int = 0, **options
+    ) -> None:
         self.bundle = bundle
         self.options = PlanOptions(**options)
         if self.options.fallback == "denser":
-            raise InputError("the fallback 'denser' samples a surface again, and raw points have none; choose another fallback")
+            raise InputError(
+                "the fallback 'denser' samples a surface again, and raw points have none; choose another fallback"
+            )
         if not noise >= 0 or refresh_every < 0:
             raise InputError(f"noise and refresh_every must not be negative, got {noise} and {refresh_every}")
         self.refresh_every, self.noise, self.seed = refresh_every, noise, seed
@@ -44,7 +48,9 @@ class TopologyLoss:
         """
         cloud = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
         cloud = check_cloud(cloud, self.bundle)
-        self.plan = build_plan(noisy(cloud, self.noise, self.seed, self._refreshes), self.bundle, self.options)
+        self.plan = build_plan(
+            noisy(cloud, self.noise, self.seed, self._refreshes), self.bundle, self.options
+        )
         self._refreshes += 1
         self._calls = 0
         return self.plan
@@ -55,14 +61,18 @@ class TopologyLoss:
         Raises InputError as `refresh` does, and when refresh_every is 0 and `refresh` was never called.
         """
         if not points.is_floating_point() or points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"the loss needs floating-point points of shape (M, 3), got {points.dtype} {tuple(points.shape)}")
+            raise InputError(
+                f"the loss needs floating-point points of shape (M, 3), got {points.dtype} {tuple(points.shape)}"
+            )
         if self.plan is None or (self.refresh_every and self._calls >= self.refresh_every):
             if self.plan is None and not self.refresh_every:
                 raise InputError("no plan yet: call refresh(points) first, or give refresh_every > 0")
             self.refresh(points)
         self._calls += 1
         if len(points) != self.plan.samples:
-            raise InputError(f"the plan was made on {self.plan.samples} points, got {len(points)}; call refresh(points)")
+            raise InputError(
+                f"the plan was made on {self.plan.samples} points, got {len(points)}; call refresh(points)"
+            )
         used = points[self.plan.used.to(points.device)].cpu().double() / self.bundle.diagonal
         return self.plan.value(used).to(device=points.device, dtype=points.dtype)
 
@@ -74,13 +84,19 @@ def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
     """
     cloud = np.asarray(cloud, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < 4:
-        raise InputError(f"the loss needs at least 4 points of shape (M, 3), got {cloud.shape}; draw more samples")
+        raise InputError(
+            f"the loss needs at least 4 points of shape (M, 3), got {cloud.shape}; draw more samples"
+        )
     if not np.isfinite(cloud).all():
-        raise InputError("the live points hold a coordinate that is not finite; lower the learning rate or remove them")
+        raise InputError(
+            "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
+        )
     bundle.require_density(len(cloud))
     spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
     if spread[-1] <= 1e-12 * spread[0]:
-        raise InputError("all live points lie in one plane: no alpha complex in space; check the geometry the samples come from")
+        raise InputError(
+            "all live points lie in one plane: no alpha complex in space; check the geometry the samples come from"
+        )
     return cloud / bundle.diagonal
 
 

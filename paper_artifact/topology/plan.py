@@ -20,10 +20,10 @@ from torch.autograd.function import once_differentiable
 
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.circumradius import radius_and_gradient
+from paper_artifact.alpha.circumradius import radius_and_gradient
 from paper_artifact.topology.curvature import pair_weights
 from paper_artifact.topology.floor import measurement_floor, significant
-from paper_artifact.topology.gabriel import FALLBACKS, coface_of_value, passes_gate
+from paper_artifact.alpha.gabriel import FALLBACKS, coface_of_value, passes_gate
 from paper_artifact.topology.matching import match_bars, recruit
 
 KINDS = ("matched", "recruited", "diagonal")
@@ -44,7 +44,9 @@ class PlanOptions:
         if self.floor_source not in ("bundle", "live"):
             raise InputError(f"unknown floor source {self.floor_source!r}; choose 'bundle' or 'live'")
         if self.fallback not in FALLBACKS:
-            raise InputError(f"unknown Gabriel fallback {self.fallback!r}; choose one of {', '.join(FALLBACKS)}")
+            raise InputError(
+                f"unknown Gabriel fallback {self.fallback!r}; choose one of {', '.join(FALLBACKS)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,11 @@ class _PlanValue(torch.autograd.Function):
 def _compile(terms: tuple[Term, ...]) -> tuple[np.ndarray, _Arrays]:
     """Return the used samples (u,) int64 and the terms as arrays."""
     simplices = [term.birth_simplex for term in terms] + [term.death_simplex for term in terms]
-    used = np.unique(np.concatenate([np.asarray(s, dtype=np.int64) for s in simplices])) if simplices else np.zeros(0, np.int64)
+    used = (
+        np.unique(np.concatenate([np.asarray(s, dtype=np.int64) for s in simplices]))
+        if simplices
+        else np.zeros(0, np.int64)
+    )
     groups = []
     for size in (2, 3, 4):  # a vertex (birth in dimension 0) has the constant radius 0
         rows = np.array([i for i, simplex in enumerate(simplices) if len(simplex) == size], dtype=np.int64)
@@ -182,14 +188,16 @@ def build_plan(cloud: np.ndarray, bundle: Bundle, options: PlanOptions = PlanOpt
 
     Only the bundle's dimensions enter. Raises what `alpha_persistence` raises for its points.
     """
-    from paper_artifact.topology.persistence import alpha_persistence  # compiled kernels: only when needed
+    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     live_floor = measurement_floor(cloud, 1.0, bundle.floor_multiplier)
     floor = bundle.floor if options.floor_source == "bundle" else live_floor
     pairs = alpha_persistence(cloud, method=options.method)
     terms, failing, dimensions = [], [], {}
     for dimension in bundle.dimensions:
-        made, failed, report = _plan_dimension(cloud, pairs[dimension], bundle.bars[dimension], floor, dimension, options)
+        made, failed, report = _plan_dimension(
+            cloud, pairs[dimension], bundle.bars[dimension], floor, dimension, options
+        )
         terms += made
         failing += failed
         dimensions[str(dimension)] = report
@@ -217,7 +225,9 @@ def _plan_dimension(cloud, pairs, target, floor, dimension, options):
     missing = matching.unmatched_target
     if options.recruitment and len(missing):
         pool = np.concatenate([left, np.flatnonzero(~is_significant)])
-        recruited = [(int(pool[k]), int(missing[j]), "recruited") for k, j in recruit(bars[pool], target[missing])]
+        recruited = [
+            (int(pool[k]), int(missing[j]), "recruited") for k, j in recruit(bars[pool], target[missing])
+        ]
         left = np.setdiff1d(left, [row for row, _, _ in recruited])
         claims += recruited
     claims += [(int(row), None, "diagonal") for row in left]
@@ -269,7 +279,9 @@ def _report(claims, bars, target, count, failures) -> dict:
     targets = []
     for j, bar in enumerate(target):
         row, kind = owner.get(j, (None, "unreached"))
-        targets.append({"target": bar.tolist(), "live": None if row is None else bars[row].tolist(), "kind": kind})
+        targets.append(
+            {"target": bar.tolist(), "live": None if row is None else bars[row].tolist(), "kind": kind}
+        )
     counts = {kind: sum(each == kind for _, _, each in claims) for kind in KINDS}
     return {
         "significant": count,

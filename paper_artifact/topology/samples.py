@@ -50,12 +50,17 @@ class FrozenSamples:
     def joined(self, other: FrozenSamples) -> FrozenSamples:
         """Return these samples followed by `other`'s; both of one soup."""
         return FrozenSamples(
-            torch.cat([self.faces, other.faces]), torch.cat([self.barycentrics, other.barycentrics]), self.triangles
+            torch.cat([self.faces, other.faces]),
+            torch.cat([self.barycentrics, other.barycentrics]),
+            self.triangles,
         )
 
 
 def draw_samples(
-    vertices: Tensor | np.ndarray, opacity: Tensor | np.ndarray | None, count: int, generator: np.random.Generator
+    vertices: Tensor | np.ndarray,
+    opacity: Tensor | np.ndarray | None,
+    count: int,
+    generator: np.random.Generator,
 ) -> FrozenSamples:
     """Draw `count` samples with density opacity × area on a soup's vertices (T,3,3), world units.
 
@@ -64,13 +69,17 @@ def draw_samples(
     """
     corners = _array(vertices)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not np.isfinite(corners).all():
-        raise InputError(f"a soup is finite vertices of shape (T, 3, 3), got {corners.shape}; check for NaN and for the layout")
+        raise InputError(
+            f"a soup is finite vertices of shape (T, 3, 3), got {corners.shape}; check for NaN and for the layout"
+        )
     weights = None
     if opacity is not None:
         weights = _array(opacity)
         weights = weights.mean(axis=1) if weights.ndim == 2 else weights
         if weights.shape != (len(corners),) or not np.isfinite(weights).all() or (weights < 0).any():
-            raise InputError(f"opacity must be finite, at least 0 and of shape ({len(corners)},) or ({len(corners)}, 3)")
+            raise InputError(
+                f"opacity must be finite, at least 0 and of shape ({len(corners)},) or ({len(corners)}, 3)"
+            )
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
     _, face, barycentrics = sample_surface(corners.reshape(-1, 3), faces, count, generator, weights)
     return FrozenSamples(torch.from_numpy(face), torch.from_numpy(barycentrics), len(corners))

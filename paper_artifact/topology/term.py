@@ -18,7 +18,7 @@ from torch import Tensor
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.conditions import Condition
+from paper_artifact.catalogue import Condition
 from paper_artifact.topology.controls import neighbour_pairs, repulsion
 from paper_artifact.topology.loss import check_cloud, noisy
 from paper_artifact.topology.plan import Plan, PlanOptions, build_plan
@@ -48,13 +48,17 @@ class TopologyTerm:
         **options,
     ) -> None:
         if condition.kind not in ("topology", "repulsion"):
-            raise InputError(f"condition {condition.name} has no topology term; use make_term, which returns None for it")
+            raise InputError(
+                f"condition {condition.name} has no topology term; use make_term, which returns None for it"
+            )
         if steps < 1 or refresh_every < 1:
             raise InputError(f"steps and refresh_every must be at least 1, got {steps} and {refresh_every}")
         bundle.require_density(bundle.samples if samples is None else samples)
         self.condition, self.bundle, self.steps, self.seed = condition, bundle, steps, seed
         self.refresh_every = refresh_every
-        self.options = PlanOptions(recruitment=condition.recruitment, curvature_weighted=condition.curvature_weighted, **options)
+        self.options = PlanOptions(
+            recruitment=condition.recruitment, curvature_weighted=condition.curvature_weighted, **options
+        )
         self.lambda_peak: float | None = None
         self.log: list[dict] = []
         self._channel: _Persistence | _Repulsion | None = None
@@ -65,7 +69,9 @@ class TopologyTerm:
         """Return whether the ramp is above 0 at `step`."""
         return ramp_factor(step, self.steps, self.condition.ramp) > 0
 
-    def refresh_if_due(self, step: int, vertices: Tensor, opacity: Tensor | np.ndarray | None, resampled: bool = False) -> bool:
+    def refresh_if_due(
+        self, step: int, vertices: Tensor, opacity: Tensor | np.ndarray | None, resampled: bool = False
+    ) -> bool:
         """Draw samples and make the plan when due: first active step, every `refresh_every` steps, after a resampling.
 
         vertices (T,3,3) world units; opacity (T,) or (T,3) in [0,1], or None; resampled: the soup was changed wholesale since
@@ -83,7 +89,9 @@ class TopologyTerm:
         self.log.append({"event": "refresh", "step": step, **self._channel.report})
         return True
 
-    def value(self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]) -> Tensor | None:
+    def value(
+        self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]
+    ) -> Tensor | None:
         """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), differentiable by `vertices` (T,3,3); None while inactive.
 
         photo_gradient_norm: ‖∇V L_photo‖ of this step, or a function that computes it; used once, at calibration. A zero or
@@ -108,7 +116,9 @@ class TopologyTerm:
         self.lambda_peak, self.log = state["lambda_peak"], list(state["log"])
         self._channel = None
 
-    def _calibrate(self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]) -> bool:
+    def _calibrate(
+        self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]
+    ) -> bool:
         live = vertices.detach().clone().requires_grad_(True)
         (gradient,) = torch.autograd.grad(self._channel.value(live), live)
         topo_norm = float(torch.linalg.vector_norm(gradient.double()))
@@ -117,7 +127,11 @@ class TopologyTerm:
         if self.lambda_peak is None:
             which = "topology" if not topo_norm > 0 or not np.isfinite(topo_norm) else "photometric"
             self.log.append(
-                {"event": "no-op", "step": step, "reason": f"the {which} gradient is zero or not finite, no weight can be set"}
+                {
+                    "event": "no-op",
+                    "step": step,
+                    "reason": f"the {which} gradient is zero or not finite, no weight can be set",
+                }
             )
             return False
         self.log.append(
@@ -133,12 +147,16 @@ class TopologyTerm:
         return True
 
 
-def make_term(condition: Condition, bundle: Bundle | None, steps: int, seed: int, **options) -> TopologyTerm | None:
+def make_term(
+    condition: Condition, bundle: Bundle | None, steps: int, seed: int, **options
+) -> TopologyTerm | None:
     """Return the condition's TopologyTerm, or None for C0. Raises InputError when a condition that needs a bundle has none."""
     if condition.kind == "none":
         return None
     if bundle is None:
-        raise InputError(f"condition {condition.name} needs a target bundle; build one at the density the loss samples")
+        raise InputError(
+            f"condition {condition.name} needs a target bundle; build one at the density the loss samples"
+        )
     return TopologyTerm(condition, bundle, steps, seed, **options)
 
 
@@ -151,7 +169,9 @@ class _Persistence:
         rounds = 0
         while plan.failing and term.options.fallback == "denser" and rounds < DENSER_ROUNDS:
             rounds += 1
-            samples = samples.joined(_denser(plan, samples, vertices, stream(term.seed, f"topology-denser-{rounds}", step)))
+            samples = samples.joined(
+                _denser(plan, samples, vertices, stream(term.seed, f"topology-denser-{rounds}", step))
+            )
             cloud = samples.positions(vertices).numpy() / term.bundle.diagonal
             plan = build_plan(noisy(cloud, term.condition.noise, term.seed, step), term.bundle, term.options)
         self.samples, self.plan, self.diagonal = samples, plan, term.bundle.diagonal
@@ -161,9 +181,13 @@ class _Persistence:
         return self.plan.value(self.samples.positions(vertices, self.plan.used) / self.diagonal)
 
 
-def _denser(plan: Plan, samples: FrozenSamples, vertices: Tensor, generator: np.random.Generator) -> FrozenSamples:
+def _denser(
+    plan: Plan, samples: FrozenSamples, vertices: Tensor, generator: np.random.Generator
+) -> FrozenSamples:
     """Draw more samples, only on the triangles that hold the plan's failing simplices."""
-    triangles = np.unique(samples.faces.numpy()[np.unique(np.concatenate([list(simplex) for simplex in plan.failing]))])
+    triangles = np.unique(
+        samples.faces.numpy()[np.unique(np.concatenate([list(simplex) for simplex in plan.failing]))]
+    )
     weight = np.zeros(samples.triangles)
     weight[triangles] = 1.0
     return draw_samples(vertices, weight, DENSER_PER_TRIANGLE * len(triangles), generator)

@@ -60,7 +60,9 @@ class CpuBackend:
 class TwinBackend:
     """Plain torch on any device and in any float dtype; the CUDA path."""
 
-    def __init__(self, scene: Scene, views: np.ndarray, device: str, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, scene: Scene, views: np.ndarray, device: str, dtype: torch.dtype = torch.float32
+    ) -> None:
         self._device, self._dtype = torch.device(device), dtype
         self._row = {int(view): row for row, view in enumerate(views)}
         self._targets = torch.from_numpy(scene.images[views].transpose(0, 3, 1, 2)).to(self._device, dtype)
@@ -69,7 +71,8 @@ class TwinBackend:
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
         tensors = [
-            tensor.detach().to(device, dtype).clone() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+            tensor.detach().to(device, dtype).clone()
+            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
         ]
         return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
 

@@ -34,7 +34,14 @@ class Checkpoint:
 
 
 def write_checkpoint(
-    path: Path, config: RunConfig, step: int, soup: Soup, shading_optimiser: dict, result, seconds: dict[str, float], term: dict
+    path: Path,
+    config: RunConfig,
+    step: int,
+    soup: Soup,
+    shading_optimiser: dict,
+    result,
+    seconds: dict[str, float],
+    term: dict,
 ) -> None:
     """Write the state after `step`, atomically. Raises InputError when the folder is not writable."""
     state = {
@@ -72,10 +79,17 @@ def read_checkpoint(path: Path, config: RunConfig) -> Checkpoint | None:
         saved = Checkpoint(
             int(state["step"]),
             Soup(tensors[0], tensors[1], tensors[2], tuple(tensors[3:])).trainable(),
-            *(state[name] for name in ("shading_optimiser", "losses", "dumps", "resamplings", "seconds", "term")),
+            *(
+                state[name]
+                for name in ("shading_optimiser", "losses", "dumps", "resamplings", "seconds", "term")
+            ),
         )
     except Exception as error:  # torch.load raises many kinds for a damaged file
-        raise InputError(f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew") from error
+        raise InputError(
+            f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew"
+        ) from error
     if version != FORMAT or saved_config != repr(sorted(asdict(config).items())):
-        raise InputError(f"checkpoint {path} belongs to another configuration; delete it to start the run anew")
+        raise InputError(
+            f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
+        )
     return saved

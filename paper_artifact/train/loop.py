@@ -122,7 +122,9 @@ def train(
                 optimiser.zero_grad(set_to_none=True)
         with _timed(seconds, "photometric"):
             views = batch_views(scene.train, config.batch, config.seed, step)
-            loss = backend.photometric_step(soup, views, [view_key(config.seed, step, int(view)) for view in views])
+            loss = backend.photometric_step(
+                soup, views, [view_key(config.seed, step, int(view)) for view in views]
+            )
         if not np.isfinite(loss):
             raise TrainingError(
                 f"the loss of step {step} is {loss}; lower the learning rates (vertex_lr {config.vertex_lr}) and run again"
@@ -151,12 +153,20 @@ def train(
         if resampled:
             with _timed(seconds, "resample"):
                 soup, report = resampler.resample(
-                    backend.to_host(soup), scene.world_to_clip[scene.train], height, width, config.seed, step, config.steps
+                    backend.to_host(soup),
+                    scene.world_to_clip[scene.train],
+                    height,
+                    width,
+                    config.seed,
+                    step,
+                    config.steps,
                 )
                 soup = backend.to_device(soup)
                 shading = _moved(shading, soup, config)
                 optimisers = _soup_optimisers(soup, config, vertex_lr)
-                result.resamplings.append({"step": step, "before": report.before, "pruned": report.pruned, "after": report.after})
+                result.resamplings.append(
+                    {"step": step, "before": report.before, "pruned": report.pruned, "after": report.after}
+                )
         if evaluate is not None and step in config.dump_steps:
             with _timed(seconds, "evaluate"):
                 result.dumps.append(evaluate(backend.to_host(soup), step))
@@ -174,7 +184,10 @@ def train(
         if progress is not None:
             progress(step, f"loss {loss:.4f}, {len(soup)} triangles")
     result.soup = backend.to_host(soup)
-    if not all(torch.isfinite(tensor).all() for tensor in (result.soup.vertices, result.soup.features, result.soup.opacity)):
+    if not all(
+        torch.isfinite(tensor).all()
+        for tensor in (result.soup.vertices, result.soup.features, result.soup.opacity)
+    ):
         raise TrainingError(
             f"features or opacity are not finite after step {config.steps}; lower feature_lr ({config.feature_lr}) or "
             f"opacity_lr ({config.opacity_lr}) and run again"
@@ -185,7 +198,10 @@ def train(
 
 def _soup_optimisers(soup: Soup, config: RunConfig, vertex_lr: float):
     features = torch.optim.Adam([{"params": [soup.features]}, {"params": [soup.opacity]}])
-    return (features, (config.feature_lr, config.opacity_lr)), (VectorAdam([soup.vertices], lr=vertex_lr), (vertex_lr,))
+    return (features, (config.feature_lr, config.opacity_lr)), (
+        VectorAdam([soup.vertices], lr=vertex_lr),
+        (vertex_lr,),
+    )
 
 
 def _moved(shading: torch.optim.Adam, soup: Soup, config: RunConfig) -> torch.optim.Adam:

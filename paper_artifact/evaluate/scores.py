@@ -73,7 +73,11 @@ class Target:
 
 
 def make_target(
-    mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None, cache: Path | None = TARGETS
+    mesh: Mesh,
+    count: int = SAMPLES,
+    seed: int = 0,
+    dimension: int | None = None,
+    cache: Path | None = TARGETS,
 ) -> Target:
     """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
 
@@ -84,7 +88,11 @@ def make_target(
     if dimension not in (None, 0, 1, 2):
         raise InputError(f"the discriminating dimension must be 0, 1 or 2, got {dimension}")
     samples = sample_surface(mesh.vertices, mesh.faces, count, stream(seed, "target samples"))[0]
-    path = None if cache is None else Path(cache) / f"{_file_name(mesh.name)}-{count}-s{seed}-{_digest(mesh, count, seed)}.npz"
+    path = (
+        None
+        if cache is None
+        else Path(cache) / f"{_file_name(mesh.name)}-{count}-s{seed}-{_digest(mesh, count, seed)}.npz"
+    )
     diagram = _cached_diagram(path)
     if diagram is None:
         diagram = diagram_of(samples, mesh.diagonal)
@@ -108,7 +116,9 @@ def discriminating_dimension(betti: Sequence[int] | None, counts: Sequence[int])
     return 0 if components > 0 else 1 if loops > 0 else 2
 
 
-def soup_samples(vertices: np.ndarray, opacity: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
+def soup_samples(
+    vertices: np.ndarray, opacity: np.ndarray, count: int, generator: np.random.Generator
+) -> np.ndarray:
     """Return `count` samples (count,3) float64 of a soup, density ∝ area × α, α the mean of a triangle's corner opacities.
 
     vertices (T,3,3) float, world units; opacity (T,3) float in [0,1] (after the sigmoid). Paper §3.2.
@@ -116,9 +126,13 @@ def soup_samples(vertices: np.ndarray, opacity: np.ndarray, count: int, generato
     """
     vertices, opacity = np.asarray(vertices, dtype=np.float64), np.asarray(opacity, dtype=np.float64)
     if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
-        raise InputError(f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {opacity.shape}")
+        raise InputError(
+            f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {opacity.shape}"
+        )
     if not np.isfinite(vertices).all() or not ((opacity >= 0) & (opacity <= 1)).all():
-        raise InputError("the soup holds coordinates that are not finite or opacities outside [0, 1]; its training has diverged")
+        raise InputError(
+            "the soup holds coordinates that are not finite or opacities outside [0, 1]; its training has diverged"
+        )
     faces = np.arange(3 * len(vertices)).reshape(-1, 3)
     return sample_surface(vertices.reshape(-1, 3), faces, count, generator, weights=opacity.mean(axis=1))[0]
 
@@ -143,7 +157,9 @@ def evaluate_samples(samples: np.ndarray, target: Target) -> dict:
     return result | {name: _rounded(value) for name, value in distances.items()}
 
 
-def evaluate_soup(vertices: np.ndarray, opacity: np.ndarray, target: Target, seed: int = 0, step: int = 0) -> dict:
+def evaluate_soup(
+    vertices: np.ndarray, opacity: np.ndarray, target: Target, seed: int = 0, step: int = 0
+) -> dict:
     """Return `evaluate_samples` of a soup, with "step"; vertices (T,3,3) world units, opacity (T,3) in [0,1].
 
     The samples are as many as the target's, drawn from the stream of (seed, step).
@@ -158,7 +174,9 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = 3) -> float:
     Raises InputError for fewer than `last` dumps.
     """
     if len(dumps) < last:
-        raise InputError(f"a tail is the mean of the last {last} dumps, but the run has {len(dumps)}; train it to the end")
+        raise InputError(
+            f"a tail is the mean of the last {last} dumps, but the run has {len(dumps)}; train it to the end"
+        )
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
     return float(np.mean([dump["bottleneck"][dimension] for dump in chosen]))
 
@@ -167,8 +185,14 @@ def tails(dumps: Sequence[Mapping], last: int = 3) -> dict:
     """Return means over the last dumps, "bottleneck" [3], "chamfer", "hausdorff95", their "steps", and the last "counts" [3]."""
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
-    means = {name: _rounded(float(np.mean([dump[name] for dump in chosen]))) for name in ("chamfer", "hausdorff95")}
-    return {"steps": [dump["step"] for dump in chosen], "bottleneck": bottleneck, "counts": list(chosen[-1]["counts"])} | means
+    means = {
+        name: _rounded(float(np.mean([dump[name] for dump in chosen]))) for name in ("chamfer", "hausdorff95")
+    }
+    return {
+        "steps": [dump["step"] for dump in chosen],
+        "bottleneck": bottleneck,
+        "counts": list(chosen[-1]["counts"]),
+    } | means
 
 
 def _rounded(value: float) -> float:
@@ -191,7 +215,10 @@ def _cached_diagram(path: Path | None) -> Diagram | None:
     if path is None or not path.is_file():
         return None
     try:
-        with open(path, "rb") as handle, np.load(handle) as stored:  # np.load alone leaks the handle of a damaged file
+        with (
+            open(path, "rb") as handle,
+            np.load(handle) as stored,
+        ):  # np.load alone leaks the handle of a damaged file
             return tuple(stored[f"bars_{i}"] for i in range(3))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None  # a damaged cache costs seconds, not a run

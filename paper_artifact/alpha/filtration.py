@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.expansions import Formula, evaluate, exact
-from paper_artifact.topology.predicates import edge_excludes, triangle_excludes
+from paper_artifact.alpha.expansions import Formula, evaluate, exact
+from paper_artifact.alpha.predicates import edge_excludes, triangle_excludes
 
 FLAT = 1e-4  # relative determinant below which a circumradius is evaluated in double-doubles (float64: 1e-15 / FLAT at most)
 FLATTER = 1e-18  # ... and in exact expansions (double-doubles: 1e-30 / FLATTER at most)

@@ -11,11 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.expansions import ADD, MULTIPLY, Formula, evaluate, exact
+from paper_artifact.alpha.expansions import ADD, MULTIPLY, Formula, evaluate, exact
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
 INSPHERE_BOUND = 1.7763568394002532e-15  # (16 + 224 u) u
-INSPHERE_STATIC = 4.5e-14  # times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units
+INSPHERE_STATIC = (
+    4.5e-14  # times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units
+)
 DOT_BOUND = 1e-15  # above (5 + small) u for a sum of three products of rounded differences
 GABRIEL_BOUND = 1.3e-14  # times |u||v|²|w|² max(|u|, |v|, |w|): six terms of at most 1 in this unit, each with at most 18 u
 DD_BOUND = 1e-29  # 800 times 2^-106: more than a thousand rounding errors of double-double operations
@@ -49,7 +51,11 @@ def _triangle() -> np.ndarray:
     u, v, w = formula.inputs
     uu, vv, ww = formula.dot(u, u), formula.dot(v, v), formula.dot(w, w)
     uv, uw, vw = formula.dot(u, v), formula.dot(u, w), formula.dot(v, w)
-    terms = ((uu, formula.minor(vv, ww, vw, vw)), (vv, formula.minor(vw, uw, ww, uv)), (ww, formula.minor(uv, vw, vv, uw)))
+    terms = (
+        (uu, formula.minor(vv, ww, vw, vw)),
+        (vv, formula.minor(vw, uw, ww, uv)),
+        (ww, formula.minor(uv, vw, vv, uw)),
+    )
     formula.total(*(formula.step(MULTIPLY, length, minor) for length, minor in terms))
     return formula.steps()
 
@@ -68,7 +74,9 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
     ca, ac = cdx * ady, adx * cdy
     ab, ba = adx * bdy, bdx * ady
     det = adz * (bc - cb) + bdz * (ca - ac) + cdz * (ab - ba)
-    permanent = (abs(bc) + abs(cb)) * abs(adz) + (abs(ca) + abs(ac)) * abs(bdz) + (abs(ab) + abs(ba)) * abs(cdz)
+    permanent = (
+        (abs(bc) + abs(cb)) * abs(adz) + (abs(ca) + abs(ac)) * abs(bdz) + (abs(ab) + abs(ba)) * abs(cdz)
+    )
     bound = ORIENT_BOUND * permanent
     if det > bound or -det > bound:
         return det

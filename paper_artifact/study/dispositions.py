@@ -45,7 +45,14 @@ def dispositions(keys: tuple[str, ...] = tuple(PUBLISHED)) -> list[Disposition]:
         published, decision = PUBLISHED[key]
         if key == "max-planck":
             rows.append(
-                Disposition(key, published, decision, "not obtainable: none of nine public copies has 161 open edges", None, None)
+                Disposition(
+                    key,
+                    published,
+                    decision,
+                    "not obtainable: none of nine public copies has 161 open edges",
+                    None,
+                    None,
+                )
             )
             continue
         certificate = certify_mesh(find_mesh(key, welded=False))

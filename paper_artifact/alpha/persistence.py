@@ -76,7 +76,9 @@ def check_points(points: np.ndarray) -> np.ndarray:
         raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(f"point {row} has a coordinate that is not finite; remove such points before computing persistence")
+        raise InputError(
+            f"point {row} has a coordinate that is not finite; remove such points before computing persistence"
+        )
     return points
 
 
@@ -86,7 +88,7 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
 
     clock: when given, receives the CPU seconds of this process for each of STAGES.
     """
-    from paper_artifact.topology.fast import squared_pairs  # compiled code: loaded only where it is used
+    from paper_artifact.alpha.fast import squared_pairs  # compiled code: loaded only where it is used
 
     marks: list[float] = []
     pairs = squared_pairs(points, marks)
@@ -97,7 +99,9 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
     return result
 
 
-def gudhi_persistence(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple[Pairs, Pairs, Pairs]:
+def gudhi_persistence(
+    points: np.ndarray, clock: dict[str, float] | None = None
+) -> tuple[Pairs, Pairs, Pairs]:
     """The oracle: gudhi's alpha complex (exact predicates, `safe` values) and its Z/2 pairs. Arguments and result as
     fast_persistence.
 
@@ -129,7 +133,10 @@ def _read_clock(clock: dict[str, float] | None, marks: list[float]) -> None:
 
 def _empty(dimension: int) -> Pairs:
     return make_pairs(
-        np.empty(0), np.empty(0), np.empty((0, dimension + 1), dtype=np.int64), np.empty((0, dimension + 2), dtype=np.int64)
+        np.empty(0),
+        np.empty(0),
+        np.empty((0, dimension + 1), dtype=np.int64),
+        np.empty((0, dimension + 2), dtype=np.int64),
     )
 
 
@@ -137,10 +144,14 @@ def _from_rows(rows: list, dimension: int) -> Pairs:
     if not rows:
         return _empty(dimension)
     births, deaths, birth_simplices, death_simplices = zip(*rows)
-    return make_pairs(np.array(births), np.array(deaths), np.array(birth_simplices), np.array(death_simplices))
+    return make_pairs(
+        np.array(births), np.array(deaths), np.array(birth_simplices), np.array(death_simplices)
+    )
 
 
-def make_pairs(births: np.ndarray, deaths: np.ndarray, birth_simplices: np.ndarray, death_simplices: np.ndarray) -> Pairs:
+def make_pairs(
+    births: np.ndarray, deaths: np.ndarray, birth_simplices: np.ndarray, death_simplices: np.ndarray
+) -> Pairs:
     """Pairs from SQUARED radii (k,) and simplices: empty bars dropped, rows sorted, squared radii turned into radii."""
     keep = np.flatnonzero(deaths - births > ROUNDING * deaths)
     order = keep[np.lexsort((deaths[keep], births[keep]))]

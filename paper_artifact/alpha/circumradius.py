@@ -27,8 +27,15 @@ def circumradius(corners: Tensor) -> Tensor:
     Differentiable once, by the closed form above. Use float64: the Gabriel gate compares at 1e-6.
     Raises InputError for another shape or an integer dtype.
     """
-    if corners.ndim != 3 or corners.shape[1] not in (1, 2, 3, 4) or corners.shape[2] != 3 or not corners.is_floating_point():
-        raise InputError(f"corners must be floating point of shape (n, 1 to 4, 3), got {corners.dtype} {tuple(corners.shape)}")
+    if (
+        corners.ndim != 3
+        or corners.shape[1] not in (1, 2, 3, 4)
+        or corners.shape[2] != 3
+        or not corners.is_floating_point()
+    ):
+        raise InputError(
+            f"corners must be floating point of shape (n, 1 to 4, 3), got {corners.dtype} {tuple(corners.shape)}"
+        )
     return _Circumradius.apply(corners)
 
 
@@ -86,10 +93,14 @@ def _tetrahedron(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     centre = (_dot(u, u)[:, None] * vw + _dot(v, v)[:, None] * wu + _dot(w, w)[:, None] * uv) / (2 * volume)
     inner = np.stack([_dot(centre, vw), _dot(centre, wu), _dot(centre, uv)], axis=1) / volume
     weights = np.concatenate([1 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-    return _finish(np.stack([np.zeros_like(u), u, v, w], axis=1), centre, weights, np.sqrt(_dot(centre, centre)))
+    return _finish(
+        np.stack([np.zeros_like(u), u, v, w], axis=1), centre, weights, np.sqrt(_dot(centre, centre))
+    )
 
 
-def _finish(relative: np.ndarray, centre: np.ndarray, weights: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _finish(
+    relative: np.ndarray, centre: np.ndarray, weights: np.ndarray, radius: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (radius, β_i (p_i - c) / R), with inf and 0 where the simplex is flat or the arithmetic overflowed."""
     gradient = weights[:, :, None] * (relative - centre[:, None]) / radius[:, None, None]
     bad = ~(np.isfinite(radius) & np.isfinite(gradient).all(axis=(1, 2)))

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.evaluate import evaluate_soup, make_target, tails
+from paper_artifact.evaluate.scores import evaluate_soup, make_target, tails
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import RESULTS
 from paper_artifact.mesh import Mesh
 from paper_artifact.raster import functions
-from paper_artifact.record.record import make_record, read_record, record_path, write_record
+from paper_artifact.record.store import make_record, read_record, record_path, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
@@ -40,8 +40,8 @@ def with_condition(config: RunConfig, mesh: Mesh) -> RunConfig:
     """
     if config.condition == "C0":
         return replace(config, topology=())
-    from paper_artifact.study.protocol import REFRESH_EVERY, protocol_of
-    from paper_artifact.topology.conditions import get_condition
+    from paper_artifact.catalogue import REFRESH_EVERY, protocol_of
+    from paper_artifact.catalogue import get_condition
 
     condition, protocol = asdict(get_condition(config.condition)), asdict(protocol_of(config.shape))
     values = {name: value for name, value in condition.items() if name not in ("name", "description")}
@@ -60,15 +60,26 @@ def make_run_term(config: RunConfig, mesh: Mesh):
     if config.condition == "C0":
         return None, None
     from paper_artifact.topology.bundle import build_from_mesh
-    from paper_artifact.topology.conditions import get_condition
+    from paper_artifact.catalogue import get_condition
     from paper_artifact.topology.term import make_term
 
     values = dict(config.topology)
     fields = asdict(get_condition(config.condition))
-    condition = replace(get_condition(config.condition), **{name: value for name, value in values.items() if name in fields})
-    extra = {name: value for name, value in values.items() if name not in fields and name not in ("dimensions", "bundle_seed")}
+    condition = replace(
+        get_condition(config.condition), **{name: value for name, value in values.items() if name in fields}
+    )
+    extra = {
+        name: value
+        for name, value in values.items()
+        if name not in fields and name not in ("dimensions", "bundle_seed")
+    }
     bundle = build_from_mesh(
-        mesh.vertices, mesh.faces, values["samples"], values["bundle_seed"], shape=config.shape, dimensions=values["dimensions"]
+        mesh.vertices,
+        mesh.faces,
+        values["samples"],
+        values["bundle_seed"],
+        shape=config.shape,
+        dimensions=values["dimensions"],
     )
     return make_term(condition, bundle, config.steps, config.seed, **extra), bundle
 
@@ -117,12 +128,16 @@ def run(
         record = read_record(path)
         # Of a mesh file the configuration holds the path only. (Analytic shapes may differ in the last bit between machines.)
         if Path(config.shape).is_file() and record.get("mesh", {}).get("sha256") != mesh_hash(mesh):
-            raise InputError(f"the record {path} is of another mesh than {config.shape} is now; run with --again to replace it")
+            raise InputError(
+                f"the record {path} is of another mesh than {config.shape} is now; run with --again to replace it"
+            )
         return record
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to") from error
+        raise InputError(
+            f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
+        ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
     term, bundle = make_run_term(config, mesh)
@@ -130,14 +145,20 @@ def run(
     cpu = time.process_time()
 
     def evaluate(soup: Soup, step: int) -> dict:
-        return evaluate_soup(soup.vertices.detach().numpy(), soup.corner_opacity(), target, config.seed, step) | {
-            "triangles": len(soup)
-        }
+        return evaluate_soup(
+            soup.vertices.detach().numpy(), soup.corner_opacity(), target, config.seed, step
+        ) | {"triangles": len(soup)}
 
-    outcome = train(scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device)
+    outcome = train(
+        scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device
+    )
     holdout = image_scores(render_views(outcome.soup, scene, scene.holdout), scene.images[scene.holdout])
     sections = {
-        "images": {"psnr": round(holdout["psnr"], 4), "ssim": round(holdout["ssim"], 6), "holdout_views": len(scene.holdout)},
+        "images": {
+            "psnr": round(holdout["psnr"], 4),
+            "ssim": round(holdout["ssim"], 6),
+            "holdout_views": len(scene.holdout),
+        },
         "soup": {"triangles": len(outcome.soup), "resamplings": outcome.resamplings},
         "mesh": {
             "name": mesh.name,

@@ -42,7 +42,9 @@ def plain(value: Any, digits: int | None = None) -> Any:
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
         if any(str(key).startswith("#") for key in value):
-            raise InputError("a record's names must not start with '#', which marks packed tables; rename the entry")
+            raise InputError(
+                "a record's names must not start with '#', which marks packed tables; rename the entry"
+            )
         return {str(key): plain(item, digits) for key, item in value.items()}
     if isinstance(value, np.ndarray):
         return plain(value.tolist(), digits)
@@ -70,7 +72,9 @@ def record_path(config: Any, folder: Path | str = RUNS) -> Path:
     missing = [name for name in ("shape", "condition", "seed") if name not in config]
     if missing:
         raise InputError(f"a run's config needs {', '.join(missing)} to name its record")
-    shape, condition = (re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(str(config[name])).name) for name in ("shape", "condition"))
+    shape, condition = (
+        re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(str(config[name])).name) for name in ("shape", "condition")
+    )
     return Path(folder) / f"{shape}-{condition}-s{config['seed']}-{config_hash(config)}.json"
 
 
@@ -112,7 +116,10 @@ def write_record(record: Mapping, folder: Path | str = RUNS) -> Path:
     One line per top-level key; long logs are packed as tables (see `packing`), which `read_record` undoes.
     """
     path = record_path(record["config"], folder)
-    lines = [f" {json.dumps(key)}: {_canonical(pack(record[key]) if key in ROUNDED else record[key])}" for key in sorted(record)]
+    lines = [
+        f" {json.dumps(key)}: {_canonical(pack(record[key]) if key in ROUNDED else record[key])}"
+        for key in sorted(record)
+    ]
     write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
     return path
 
@@ -129,25 +136,39 @@ def read_record(path: Path | str) -> dict:
     except OSError as error:
         raise InputError(f"cannot read the record {path}: {error.strerror}; check the path") from error
     except ValueError as error:
-        raise InputError(f"the record {path} is damaged or cut off ({error}); delete it and run again") from error
+        raise InputError(
+            f"the record {path} is damaged or cut off ({error}); delete it and run again"
+        ) from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-        raise InputError(f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder")
+        raise InputError(
+            f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder"
+        )
     if record.get("version") != VERSION:
-        raise InputError(f"the record {path} has version {record.get('version')}, this code reads {VERSION}; run it again")
+        raise InputError(
+            f"the record {path} has version {record.get('version')}, this code reads {VERSION}; run it again"
+        )
     try:
         record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"the record {path} is damaged in its tables ({error}); delete it and run again") from error
+        raise InputError(
+            f"the record {path} is damaged in its tables ({error}); delete it and run again"
+        ) from error
     missing = [name for name in REQUIRED if name not in record]
     if missing:
         raise InputError(f"the record {path} lacks {', '.join(missing)}; delete it and run again")
     if record["config_hash"] != config_hash(record["config"]):
-        raise InputError(f"the record {path} was changed: its config does not match its hash; delete it and run again")
+        raise InputError(
+            f"the record {path} was changed: its config does not match its hash; delete it and run again"
+        )
     expected = record_path(record["config"]).name
     if path.name != expected:
-        raise InputError(f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again")
+        raise InputError(
+            f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again"
+        )
     if record["digest"] != _hash({key: value for key, value in record.items() if key != "digest"}):
-        raise InputError(f"the record {path} was changed after it was written (digest mismatch); delete it and run again")
+        raise InputError(
+            f"the record {path} was changed after it was written (digest mismatch); delete it and run again"
+        )
     return record
 
 
@@ -166,7 +187,11 @@ def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
 
 
 def _accepts(wanted: Any, value: Any) -> bool:
-    return value in wanted if isinstance(wanted, (list, tuple, set, frozenset, range)) else value == plain(wanted)
+    return (
+        value in wanted
+        if isinstance(wanted, (list, tuple, set, frozenset, range))
+        else value == plain(wanted)
+    )
 
 
 def _thinned(losses: Mapping[str, Any]) -> dict:
@@ -175,8 +200,13 @@ def _thinned(losses: Mapping[str, Any]) -> dict:
     if len(lengths) > 1:
         raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
     length = lengths.pop() if lengths else 0
-    kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
-    return {name: [int(x) if name == "step" else _short(x) for x in values[kept]] for name, values in columns.items()}
+    kept = (
+        np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
+    )
+    return {
+        name: [int(x) if name == "step" else _short(x) for x in values[kept]]
+        for name, values in columns.items()
+    }
 
 
 def _short(value: float) -> float | None:

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from paper_artifact.topology.circumradius import circumradius
-from paper_artifact.topology.gabriel import TOLERANCE
-from paper_artifact.topology.persistence import alpha_persistence
+from paper_artifact.alpha.circumradius import circumradius
+from paper_artifact.alpha.gabriel import TOLERANCE
+from paper_artifact.alpha.persistence import alpha_persistence
 
 
 @dataclass(frozen=True, eq=False)

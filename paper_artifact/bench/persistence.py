@@ -10,13 +10,15 @@ from scipy.spatial import Delaunay
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology.persistence import STAGES, fast_persistence, gudhi_persistence
+from paper_artifact.alpha.persistence import STAGES, fast_persistence, gudhi_persistence
 
 
 def _torus(n: int, rng: np.random.Generator) -> np.ndarray:
     """n points on the torus of radii 1 and 0.4."""
     u, v = rng.random((2, n)) * 2 * np.pi
-    return np.column_stack([(1 + 0.4 * np.cos(v)) * np.cos(u), (1 + 0.4 * np.cos(v)) * np.sin(u), 0.4 * np.sin(v)])
+    return np.column_stack(
+        [(1 + 0.4 * np.cos(v)) * np.cos(u), (1 + 0.4 * np.cos(v)) * np.sin(u), 0.4 * np.sin(v)]
+    )
 
 
 def _soup(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -35,7 +37,10 @@ CLOUDS: dict[str, Draw] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
 
 
 def persistence_rows(
-    sizes: tuple[int, ...] = (2048, 4096, 8192, 20000), repetitions: int = 7, cloud: str = "torus", draw: Draw | None = None
+    sizes: tuple[int, ...] = (2048, 4096, 8192, 20000),
+    repetitions: int = 7,
+    cloud: str = "torus",
+    draw: Draw | None = None,
 ) -> list[dict]:
     """One row per cloud size M: CPU milliseconds of one process (medians over repetitions in which the two take turns) and
     ratios.
@@ -64,14 +69,27 @@ def persistence_rows(
                 persistence(points, clock)
                 clock["total"] = time.process_time() - start
                 clocks[name].append(clock)
-        median = {k: {s: 1e3 * float(np.median([c[s] for c in v])) for s in (*STAGES, "total")} for k, v in clocks.items()}
+        median = {
+            k: {s: 1e3 * float(np.median([c[s] for c in v])) for s in (*STAGES, "total")}
+            for k, v in clocks.items()
+        }
         gudhi, fast = median["gudhi"], median["fast"]
         tetrahedra = len(Delaunay(points).simplices)
-        row = {"cloud": cloud, "M": size, "tetrahedra": tetrahedra, "gudhi_ms": gudhi["total"], "fast_ms": fast["total"]}
+        row = {
+            "cloud": cloud,
+            "M": size,
+            "tetrahedra": tetrahedra,
+            "gudhi_ms": gudhi["total"],
+            "fast_ms": fast["total"],
+        }
         row["ratio"] = gudhi["total"] / fast["total"]
         row["ratio_without_pairs"] = (gudhi["total"] - gudhi["pairs"]) / (fast["total"] - fast["pairs"])
         for s in STAGES:
-            row |= {f"gudhi_{s}_ms": gudhi[s], f"fast_{s}_ms": fast[s], f"ratio_{s}": gudhi[s] / max(fast[s], 1e-6)}
+            row |= {
+                f"gudhi_{s}_ms": gudhi[s],
+                f"fast_{s}_ms": fast[s],
+                f"ratio_{s}": gudhi[s] / max(fast[s], 1e-6),
+            }
         rows.append(row)
     return rows
 

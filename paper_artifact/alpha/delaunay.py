@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.expansions import WORKSPACE
-from paper_artifact.topology.predicates import insphere, orient3d
+from paper_artifact.alpha.expansions import WORKSPACE
+from paper_artifact.alpha.predicates import insphere, orient3d
 
 INFINITE = -1
 DEAD = -2
@@ -79,7 +79,9 @@ def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.nd
         side = orient3d(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], p, ws)
         if side != 0.0:
             return side > 0.0
-        t = mesh[t, 7]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
+        t = mesh[
+            t, 7
+        ]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
     return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
 
 
@@ -157,7 +159,11 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
             known = False
             for i in range(4):
                 v = mesh[first, i]
-                if points[v, 0] == points[p, 0] and points[v, 1] == points[p, 1] and points[v, 2] == points[p, 2]:
+                if (
+                    points[v, 0] == points[p, 0]
+                    and points[v, 1] == points[p, 1]
+                    and points[v, 2] == points[p, 2]
+                ):
                     known = True
             if known:
                 distinct -= 1
@@ -193,7 +199,9 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 rim[faces, 4] = 4 * t + i
                 rim[faces, 5] = other
                 faces += 1
-        for f in range(faces):  # the outside cells still name the old ones: find the slot before those are overwritten
+        for f in range(
+            faces
+        ):  # the outside cells still name the old ones: find the slot before those are overwritten
             other = rim[f, 5]
             old, i = rim[f, 4] // 4, rim[f, 4] % 4
             for j in range(4):
@@ -229,7 +237,9 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
             mesh[t, 4 + i] = other
             mesh[other, 4 + back] = t
             last = t
-            for j in range(4):  # the triangle opposite j holds p and an edge of the rim, which one other new cell has as well
+            for j in range(
+                4
+            ):  # the triangle opposite j holds p and an edge of the rim, which one other new cell has as well
                 if j == i:
                     continue
                 u, v = -1, -1

@@ -61,7 +61,9 @@ class Trajectory:
     @property
     def factor(self) -> float:
         """First bottleneck divided by the last; inf when the last is rounding (below 1e-12)."""
-        return float(self.bottleneck[0] / self.bottleneck[-1]) if self.bottleneck[-1] > 1e-12 else float("inf")
+        return (
+            float(self.bottleneck[0] / self.bottleneck[-1]) if self.bottleneck[-1] > 1e-12 else float("inf")
+        )
 
 
 def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
@@ -90,7 +92,7 @@ def repair(
 
     steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every: a multiple of 10.
     """
-    from paper_artifact.topology.persistence import alpha_persistence  # compiled kernels: only when needed
+    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     bundle, dimension = probe.bundle, probe.dimension
     loss = TopologyLoss(bundle, refresh_every=10, recruitment=recruitment, seed=seed, method=method)
@@ -108,7 +110,10 @@ def repair(
             rows.append([step, _bottleneck(kept, bundle.bars[dimension]), len(kept), 0.0, 0])
         value = loss(points)
         if rows[-1][0] == step:
-            rows[-1][3:] = [float(value.detach()), loss.plan.report["dimensions"][str(dimension)]["recruited"]]
+            rows[-1][3:] = [
+                float(value.detach()),
+                loss.plan.report["dimensions"][str(dimension)]["recruited"],
+            ]
         if step == total:
             break
         adam.zero_grad()
@@ -159,10 +164,18 @@ def _handle(generator):
     # spread); rejection makes the tube's angle uniform by area.
     kept = generator.random(4000) < (HANDLE_MAJOR + HANDLE_TUBE * np.cos(v)) / (HANDLE_MAJOR + HANDLE_TUBE)
     ring = HANDLE_MAJOR + HANDLE_TUBE * np.cos(v[kept])
-    torus = np.column_stack([ring * np.cos(u[kept]), HANDLE_TUBE * np.sin(v[kept]), HANDLE_HEIGHT + ring * np.sin(u[kept])])
+    torus = np.column_stack(
+        [ring * np.cos(u[kept]), HANDLE_TUBE * np.sin(v[kept]), HANDLE_HEIGHT + ring * np.sin(u[kept])]
+    )
     torus = torus[np.linalg.norm(torus, axis=1) > 1]  # the part inside the sphere is no surface of the union
     count = int(round(1400 * fraction * len(torus) / kept.sum()))
-    return np.vstack([_sphere(generator, 1400 - count), torus[:count]]), _sphere(generator, 1400), 1, 0.01, 600
+    return (
+        np.vstack([_sphere(generator, 1400 - count), torus[:count]]),
+        _sphere(generator, 1400),
+        1,
+        0.01,
+        600,
+    )
 
 
 def _two_spheres(generator, gap: float, each: int) -> np.ndarray:

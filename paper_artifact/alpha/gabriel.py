@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from paper_artifact.topology.circumradius import radius_and_gradient
+from paper_artifact.alpha.circumradius import radius_and_gradient
 
 FALLBACKS = ("detach", "drop", "subgradient", "denser")
 TOLERANCE = 1e-6
@@ -30,12 +30,16 @@ def own_radii(cloud: np.ndarray, simplices: np.ndarray) -> np.ndarray:
     return radius_and_gradient(cloud[simplices])[0]
 
 
-def passes_gate(cloud: np.ndarray, simplices: np.ndarray, values: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
+def passes_gate(
+    cloud: np.ndarray, simplices: np.ndarray, values: np.ndarray, tolerance: float = TOLERANCE
+) -> np.ndarray:
     """Return the mask (n,) of simplices (n,k) whose circumradius matches the filtration value (n,) (a radius) relatively."""
     return np.abs(own_radii(cloud, simplices) - values) <= tolerance * np.abs(values)
 
 
-def coface_of_value(cloud: np.ndarray, simplex: np.ndarray, value: float, tolerance: float = TOLERANCE) -> np.ndarray | None:
+def coface_of_value(
+    cloud: np.ndarray, simplex: np.ndarray, value: float, tolerance: float = TOLERANCE
+) -> np.ndarray | None:
     """Return the coface (k+1,) of `simplex` (k,) with one more sample whose circumradius is `value`, or None.
 
     Only a coface may be differentiated in the simplex's place that itself has an empty circumsphere, that is, no sample

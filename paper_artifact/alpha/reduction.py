@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from paper_artifact.topology.ordering import sort_keys
+from paper_artifact.alpha.ordering import sort_keys
 
 # a triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an edge
 OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3
@@ -32,7 +32,9 @@ def _root(parents: np.ndarray, i: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray) -> tuple:
+def apparent_voids(
+    cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray
+) -> tuple:
     """Empty pairs of a triangle and a cell: (state (k,) int8 of each triangle, parents (m+1,) int32: the cell, or m for the
     outside, that a cell so filled belongs to from then on)."""
     m = len(cell_values)
@@ -42,7 +44,9 @@ def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, of_cell
         latest = of_cell[t, 0]
         for i in range(1, 4):
             f = of_cell[t, i]
-            if triangle_values[f] > triangle_values[latest] or (triangle_values[f] == triangle_values[latest] and f > latest):
+            if triangle_values[f] > triangle_values[latest] or (
+                triangle_values[f] == triangle_values[latest] and f > latest
+            ):
                 latest = f
         if triangle_values[latest] != cell_values[t]:
             continue
@@ -72,7 +76,9 @@ def apparent_loops(
         latest = of_triangle[f, 0]
         for i in range(1, 3):
             edge = of_triangle[f, i]
-            if edge_values[edge] > edge_values[latest] or (edge_values[edge] == edge_values[latest] and edge > latest):
+            if edge_values[edge] > edge_values[latest] or (
+                edge_values[edge] == edge_values[latest] and edge > latest
+            ):
                 latest = edge
         if edge_values[latest] == triangle_values[f] and first[latest] == f:
             killer[latest] = f
@@ -81,7 +87,9 @@ def apparent_loops(
 
 
 @njit(cache=True, nogil=True)
-def components(edges: np.ndarray, order: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def components(
+    edges: np.ndarray, order: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool for each edge); of two components the
     one whose first vertex has the larger index ends. `order`: the edges in increasing value."""
     parents = np.arange(vertex_count).astype(np.int32)
@@ -102,7 +110,9 @@ def components(edges: np.ndarray, order: np.ndarray, vertex_count: int) -> tuple
 
 
 @njit(cache=True, nogil=True)
-def voids(sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray) -> tuple:
+def voids(
+    sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray
+) -> tuple:
     """H2: (triangle (r,) that closes a void, cell (r,) that fills it), without the apparent pairs; those triangles become CLOSES.
 
     sides: (k, 2) cells of each triangle, -1 outside; `order`: the open triangles in increasing value; parents: of apparent_voids.
@@ -110,7 +120,9 @@ def voids(sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents
     """
     outside = len(cell_values)
     sizes = np.ones(outside + 1, dtype=np.int32)
-    tops = np.arange(outside + 1).astype(np.int32)  # of each component's root: its last cell in the filtration
+    tops = np.arange(outside + 1).astype(
+        np.int32
+    )  # of each component's root: its last cell in the filtration
     births, deaths = np.empty(len(order), dtype=np.int32), np.empty(len(order), dtype=np.int32)
     count = 0
     for place in range(len(order) - 1, -1, -1):

@@ -16,7 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, int64, njit, types
 
-WORKSPACE = 1 << 21  # doubles; the longest expansion of the predicates (a Gabriel sign with nothing cancelling) needs half of it
+WORKSPACE = (
+    1 << 21
+)  # doubles; the longest expansion of the predicates (a Gabriel sign with nothing cancelling) needs half of it
 SPLITTER = 134217729.0  # 2^27 + 1
 _STEPS = types.Array(int64, 2, "C", readonly=True)  # numba's type of a global array
 
@@ -138,7 +140,11 @@ class Formula:
 
     def cross(self, u: tuple, v: tuple) -> tuple[int, int, int]:
         """Cross product of two vectors."""
-        return self.minor(u[1], v[2], u[2], v[1]), self.minor(u[2], v[0], u[0], v[2]), self.minor(u[0], v[1], u[1], v[0])
+        return (
+            self.minor(u[1], v[2], u[2], v[1]),
+            self.minor(u[2], v[0], u[0], v[2]),
+            self.minor(u[0], v[1], u[1], v[0]),
+        )
 
     def total(self, *terms: int) -> int:
         """Sum of registers."""
@@ -176,7 +182,9 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
 
 
 @njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1], float64[:, ::1]), cache=True, nogil=True)
-def exact(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray) -> float:
+def exact(
+    points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray
+) -> float:
     """A formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded: the sign is right, the error below
     2^-51.
 
@@ -228,7 +236,9 @@ def evaluate(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, values: np
     vectors = len(rows) - 1
     for i in range(vectors):
         for k in range(3):
-            values[3 * i + k, 0], values[3 * i + k, 1] = two_sum(points[rows[i], k], -points[rows[vectors], k])
+            values[3 * i + k, 0], values[3 * i + k, 1] = two_sum(
+                points[rows[i], k], -points[rows[vectors], k]
+            )
     out = 0
     for s in range(len(steps)):
         operation, i, j, out = steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3]

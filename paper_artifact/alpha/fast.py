@@ -10,8 +10,8 @@ import time
 
 import numpy as np
 
-from paper_artifact.topology import delaunay, filtration, ordering, reduction
-from paper_artifact.topology.expansions import WORKSPACE
+from paper_artifact.alpha import delaunay, filtration, ordering, reduction
+from paper_artifact.alpha.expansions import WORKSPACE
 
 
 def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
@@ -29,7 +29,9 @@ def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
     if not delaunay.first_tetrahedron(ordered, order):
         return None
     mesh, distinct = delaunay.triangulate(ordered)
-    along = ordering.insertion_order(ordered, 0)  # from here on the vertices follow the Hilbert curve: fewer cache misses
+    along = ordering.insertion_order(
+        ordered, 0
+    )  # from here on the vertices follow the Hilbert curve: fewer cache misses
     rank = np.empty_like(along)
     rank[along] = np.arange(len(along), dtype=np.int32)
     order, ordered = order[along], np.ascontiguousarray(ordered[along])
@@ -58,6 +60,16 @@ def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
     closing, filling = closing[keep], filling[keep]
     return (
         (np.zeros(len(ended)), edge_values[merging] * square, order[ended][:, None], order[edges[merging]]),
-        (edge_values[looping] * square, triangle_values[killing] * square, order[edges[looping]], order[triangles[killing]]),
-        (triangle_values[closing] * square, cell_values[filling] * square, order[triangles[closing]], order[cells[filling]]),
+        (
+            edge_values[looping] * square,
+            triangle_values[killing] * square,
+            order[edges[looping]],
+            order[triangles[killing]],
+        ),
+        (
+            triangle_values[closing] * square,
+            cell_values[filling] * square,
+            order[triangles[closing]],
+            order[cells[filling]],
+        ),
     )

@@ -76,12 +76,18 @@ def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> Probe:
     """
     if name not in CASES:
         raise InputError(f"unknown blindness probe {name!r}; choose one of {', '.join(CASES)}")
-    draws = {which: stream(seed, f"probe-{name}-{which}").random((5, samples)) for which in ("truth", "a", "b")}
+    draws = {
+        which: stream(seed, f"probe-{name}-{which}").random((5, samples)) for which in ("truth", "a", "b")
+    }
     truth_of, a_of, b_of, diagonal, dimension, low, high = _CASES[name]()
     truth, b = truth_of(draws["truth"]), b_of(draws["b"])
     wanted = chamfer_sum(b, truth, diagonal)
     parameter = _bisect(
-        lambda size: chamfer_sum(a_of(draws["a"], size), truth, diagonal) - wanted, low, high, TOLERANCE * wanted, name
+        lambda size: chamfer_sum(a_of(draws["a"], size), truth, diagonal) - wanted,
+        low,
+        high,
+        TOLERANCE * wanted,
+        name,
     )
     return Probe(name, dimension, truth, a_of(draws["a"], parameter), b, diagonal, parameter)
 
@@ -95,7 +101,9 @@ def read(probe: Probe, method: str = "fast") -> tuple[Reading, Reading]:
         bars, floor = _bars(cloud, probe, method)
         distances = point_distances(cloud, probe.truth, probe.diagonal)
         distance = bottleneck(bars[significant(bars, floor)], target)
-        readings.append(Reading(distances["chamfer_sum"], distances["hausdorff95"], bars, floor, target, distance))
+        readings.append(
+            Reading(distances["chamfer_sum"], distances["hausdorff95"], bars, floor, target, distance)
+        )
     return readings[0], readings[1]
 
 
@@ -107,13 +115,17 @@ def noise_floor(probe: Probe, seed: int = 0) -> float:
 
 
 def _bars(cloud: np.ndarray, probe: Probe, method: str) -> tuple[np.ndarray, float]:
-    return diagram_of(cloud, probe.diagonal, method)[probe.dimension], measurement_floor(cloud, probe.diagonal)
+    return diagram_of(cloud, probe.diagonal, method)[probe.dimension], measurement_floor(
+        cloud, probe.diagonal
+    )
 
 
 def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance: float, name: str) -> float:
     """Return a parameter in [low, high] where |excess| <= tolerance; excess grows with the parameter up to sampling noise."""
     if excess(low) > tolerance or excess(high) < -tolerance:
-        raise InputError(f"no deformation of A between {low} and {high} has B's Chamfer in the probe {name!r}; change its bounds")
+        raise InputError(
+            f"no deformation of A between {low} and {high} has B's Chamfer in the probe {name!r}; change its bounds"
+        )
     for _ in range(60):
         middle = (low + high) / 2
         value = excess(middle)
@@ -124,7 +136,11 @@ def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance
 
 
 def revolution(
-    radius: Callable[[np.ndarray], np.ndarray], u: np.ndarray, v: np.ndarray, start: float = 0.0, end: float = np.pi
+    radius: Callable[[np.ndarray], np.ndarray],
+    u: np.ndarray,
+    v: np.ndarray,
+    start: float = 0.0,
+    end: float = np.pi,
 ) -> np.ndarray:
     """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z; u, v (n,) uniform in
     [0,1).
@@ -138,7 +154,11 @@ def revolution(
     polar = np.interp(u * cumulated[-1], cumulated, angle)
     distance, turn = radius(polar), 2 * np.pi * v
     return np.column_stack(
-        [distance * np.sin(polar) * np.cos(turn), distance * np.sin(polar) * np.sin(turn), distance * np.cos(polar)]
+        [
+            distance * np.sin(polar) * np.cos(turn),
+            distance * np.sin(polar) * np.sin(turn),
+            distance * np.cos(polar),
+        ]
     )
 
 
@@ -160,12 +180,18 @@ def _handle_points(draws: np.ndarray) -> np.ndarray:
         sphere = sphere_points(d[0], d[1])
         turn, theta = 2 * np.pi * d[0], 2 * np.pi * d[1]
         radial = HANDLE_MAJOR + HANDLE_TUBE * np.cos(theta)
-        ring = np.column_stack([radial * np.cos(turn), HANDLE_TUBE * np.sin(theta), 1 + radial * np.sin(turn)])
+        ring = np.column_stack(
+            [radial * np.cos(turn), HANDLE_TUBE * np.sin(theta), 1 + radial * np.sin(turn)]
+        )
         on_ring = d[2] * (ring_area + 4 * np.pi) < ring_area
         points = np.where(on_ring[:, None], ring, sphere)
-        by_area = d[3] * (HANDLE_MAJOR + HANDLE_TUBE) < radial  # rejection: the inside of a ring has less area
+        by_area = (
+            d[3] * (HANDLE_MAJOR + HANDLE_TUBE) < radial
+        )  # rejection: the inside of a ring has less area
         around = np.hypot(points[:, 0], points[:, 2] - 1) - HANDLE_MAJOR
-        hidden = np.where(on_ring, np.linalg.norm(points, axis=1) < 1, np.hypot(around, points[:, 1]) < HANDLE_TUBE)
+        hidden = np.where(
+            on_ring, np.linalg.norm(points, axis=1) < 1, np.hypot(around, points[:, 1]) < HANDLE_TUBE
+        )
         kept.append(points[~hidden & (by_area | ~on_ring)])
     return np.concatenate(kept)[:total]
 
@@ -173,7 +199,9 @@ def _handle_points(draws: np.ndarray) -> np.ndarray:
 def _thin_handle():
     def bump(draws, height):
         return revolution(
-            lambda angle: 1 + height * np.exp(-((2 * np.sin(angle / 2)) ** 2) / (2 * BUMP_WIDTH**2)), draws[0], draws[1]
+            lambda angle: 1 + height * np.exp(-((2 * np.sin(angle / 2)) ** 2) / (2 * BUMP_WIDTH**2)),
+            draws[0],
+            draws[1],
         )
 
     return lambda draws: sphere_points(draws[0], draws[1]), bump, _handle_points, 2 * np.sqrt(3), 1, 0.0, 0.6
@@ -189,7 +217,9 @@ def _bridge():
         half = GAP / 2 + 1 - np.sqrt(1 - BRIDGE_RADIUS**2)  # the tube ends on the spheres
         tube_area = 2 * np.pi * BRIDGE_RADIUS * 2 * half
         turn = 2 * np.pi * draws[1]
-        tube = np.column_stack([half * (2 * draws[0] - 1), BRIDGE_RADIUS * np.cos(turn), BRIDGE_RADIUS * np.sin(turn)])
+        tube = np.column_stack(
+            [half * (2 * draws[0] - 1), BRIDGE_RADIUS * np.cos(turn), BRIDGE_RADIUS * np.sin(turn)]
+        )
         on_tube = draws[3] * (tube_area + 8 * np.pi) < tube_area
         return np.where(on_tube[:, None], tube, spheres(draws))
 

@@ -1,0 +1,185 @@
+"""The study's facts, each in one place: a row per shape, a row per condition. Data and look-ups, no more.
+
+Adding a shape is one row here (and its geometry in `paper_artifact/scene/shapes.py` or `data_scripts/meshes.csv`); adding a condition
+is one row here and a line in `paper_artifact/study/studies.py` for the study that runs it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from paper_artifact.config import STEPS_OF_THE_STUDY, LossConfig, RunConfig, with_changes
+from paper_artifact.errors import InputError
+
+Axis = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One ground truth of the study (paper §4, App. B, E–G). Everything was fixed before any training."""
+
+    name: str
+    group: str  # where it stands: "analytic", "loop group", "void group" (pre-registered, App. G), "bowls" or "allocation"
+    judged: int  # the judged dimension: whose bottleneck is the tail (Tables 1, 2, S2, S10), a decision of the paper's
+    features: tuple[
+        int, int, int
+    ]  # finite classes (H0, H1, H2) that a dense sample shows; genera are certified
+    budget: int = 1200  # N, triangles
+    samples: int = 2048  # M of bundle and loss
+    dimensions: tuple[int, ...] | None = (
+        None  # where the loss acts; None: every dimension with a significant bar
+    )
+    bundle_seed: int = 0
+    view: Axis = (0.8, -1.1, 0.6)  # of its pictures: from the object towards the camera, world axes
+    up: Axis = (0.0, 0.0, 1.0)  # upwards in its pictures, world axes
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One arm of the study (paper §3.5, §4); the tags keep the paper's numbering. Tables list arms in the order of the rows."""
+
+    name: str
+    description: str
+    colour: str  # in every figure: grey baseline, blue loss and its variants, red controls
+    loss: LossConfig | None = None  # what it adds; None: nothing, and no code of the topology package is run
+
+
+Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+SHAPES: tuple[Shape, ...] = (
+    Shape("sphere", "analytic", 2, (0, 0, 1), dimensions=(2,)),
+    # H1 alone: its void is below the floor at M = 2048.
+    Shape("torus", "analytic", 1, (0, 2, 1), budget=700, dimensions=(1,)),
+    Shape("cube", "analytic", 2, (0, 0, 1), dimensions=(2,)),
+    Shape("two_spheres", "analytic", 0, (1, 0, 2), budget=700),
+    Shape("double_torus", "analytic", 1, (0, 4, 1), budget=2000, dimensions=(1,)),
+    Shape("cylinder", "allocation", 2, (0, 0, 1), dimensions=(2,)),
+    # bob's void is marginal (paper: 1.13 times the floor; ours over 30 sampling seeds .98 to 1.25, median 1.11): the paper's bundle
+    # holds it, seed 0 of our sampler misses it, so seed 1 is taken.
+    Shape("bob", "loop group", 1, (0, 2, 1), budget=700, bundle_seed=1, view=(0.8, 1.3, 0.8), up=Y_UP),
+    Shape(
+        "rocker-arm", "loop group", 1, (0, 2, 1), budget=700, dimensions=(1,), view=(1.0, 0.2, 0.6), up=Y_UP
+    ),
+    # eight and the pot are bundled where the pre-registered staircase first shows their class.
+    Shape("eight", "loop group", 1, (0, 4, 1), budget=700, samples=8192, view=(0.3, 1.0, 0.4), up=Z_UP),
+    Shape("spot", "void group", 2, (0, 0, 1), dimensions=(2,), view=(0.9, 0.5, -1.3), up=Y_UP),
+    Shape("fandisk", "void group", 2, (0, 0, 1), dimensions=(2,), view=(0.9, -0.9, 0.8), up=Z_UP),
+    Shape("pot", "void group", 2, (0, 6, 1), samples=8192, dimensions=(2,), view=(0.9, -1.3, 0.9), up=Z_UP),
+    Shape("armadillo", "void group", 2, (0, 0, 1), dimensions=(2,), view=(0.3, 0.2, -1.3), up=Y_UP),
+    Shape("horse", "void group", 2, (0, 0, 1), dimensions=(2,), view=(1.3, -0.6, 0.3), up=Z_UP),
+    # A bowl has no class of its own, but its samples read as a void with a rim.
+    Shape("bowl_narrow", "bowls", 2, (0, 1, 1), dimensions=(2,)),
+    Shape("bowl_wide", "bowls", 2, (0, 1, 1), dimensions=(2,)),
+)
+
+CONDITIONS: tuple[Condition, ...] = (
+    Condition("C0", "photometric loss only", "#555555"),
+    Condition("C1", "matched persistence loss with recruitment", "#1f5fbf", LossConfig()),
+    Condition(
+        "C2",
+        "norm-matched control: short-range repulsion of the same samples",
+        "#c0392b",
+        LossConfig("repulsion"),
+    ),
+    Condition("C2g", "C2 with half the radius", "#e59866", LossConfig("repulsion", repulsion_radius=2.0)),
+    Condition("C3", "C1 without the ramp", "#2e9cca", LossConfig(ramp=None)),
+    # Deferred in the paper; the definition is ours (see `paper_artifact.topology.curvature`).
+    Condition("C4", "C1 with curvature-weighted terms", "#7d5ba6", LossConfig(curvature_weighted=True)),
+    Condition("C6", "C1 without recruitment", "#b7950b", LossConfig(recruitment=False)),
+    Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#6fa8dc", LossConfig(noise=0.005)),
+    Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#a9cce3", LossConfig(noise=0.01)),
+)
+
+BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
+
+
+def shape_row(name: str) -> Shape | None:
+    """Return the row of a shape of the study, None for any other mesh. Raises InputError as `check` does."""
+    return check(SHAPES, "shape").get(name)
+
+
+def shapes_of(*groups: str) -> tuple[str, ...]:
+    """Return the names of the shapes of these groups, in the catalogue's order."""
+    return tuple(each.name for each in SHAPES if each.group in groups)
+
+
+def get_condition(name: str) -> Condition:
+    """Return the row of that tag. Raises InputError for an unknown one, C5 among them, and as `check` does."""
+    rows = check(CONDITIONS, "condition")
+    if name in rows:
+        return rows[name]
+    known = ", ".join(rows)
+    if name == "C5":
+        raise InputError(
+            f"condition C5 is C1 plus the allocation prior, which is not part of this version; choose one of {known}"
+        )
+    raise InputError(f"unknown condition {name!r}; choose one of {known}")
+
+
+def colour_of(condition: str) -> str:
+    """Return the condition's colour in every figure; grey for a tag that only the paper has."""
+    return next((each.colour for each in CONDITIONS if each.name == condition), "#999999")
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Return condition tags in the order of the tables; tags that are not in the catalogue last, by name."""
+    order = {each.name: place for place, each in enumerate(CONDITIONS)}
+    return sorted(names, key=lambda name: (order.get(name, len(order)), name))
+
+
+def study_config(
+    shape: str,
+    condition: str = BASELINE,
+    seed: int = 0,
+    *,
+    loss: Mapping[str, Any] | None = None,
+    **changes: Any,
+) -> RunConfig:
+    """Return the study's configuration of one run: the shape's row, the condition's definition, dump steps that fit the steps.
+
+    loss: changes to the condition's LossConfig; changes: to the RunConfig. With other than 2,500 steps the dump steps scale with
+    them. Raises InputError for unknown names, values out of range, or loss settings for a condition that adds no loss.
+    """
+    row, definition = shape_row(shape), get_condition(condition).loss
+    if loss and definition is None:
+        raise InputError(
+            f"condition {condition} adds no loss, so it takes no loss settings ({', '.join(loss)})"
+        )
+    settings: dict[str, Any] = {"condition": condition, "seed": seed}
+    if row is not None:
+        settings["budget"] = row.budget
+    config = RunConfig(shape)
+    if (
+        (steps := changes.get("steps", config.steps)) != STEPS_OF_THE_STUDY
+        and isinstance(steps, int)
+        and steps > 0
+    ):
+        scaled = {max(1, round(step * steps / STEPS_OF_THE_STUDY)) for step in config.dump_steps}
+        changes = {"dump_steps": tuple(sorted(scaled))} | changes
+        config = replace(config, dump_steps=())  # none is beyond the end while the fields are set one by one
+    config = with_changes(config, settings | changes)
+    if definition is None:
+        return config
+    own = (
+        {} if row is None else {name: getattr(row, name) for name in ("samples", "dimensions", "bundle_seed")}
+    )
+    return replace(config, loss=with_changes(definition, own | dict(loss or {})))
+
+
+def check(rows: Sequence[Any], word: str) -> dict[str, Any]:
+    """Return {name: row}. Raises InputError, naming the row, for a duplicate name or a dimension that does not exist."""
+    twice = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
+    if twice:
+        raise InputError(
+            f"the catalogue has the {word} {twice[0]!r} twice; keep one row in paper_artifact/catalogue.py"
+        )
+    for row in rows:
+        dimensions = (row.judged, *(row.dimensions or ())) if isinstance(row, Shape) else ()
+        if not set(dimensions) <= {0, 1, 2}:
+            raise InputError(
+                f"the catalogue's {word} {row.name!r} names the dimensions {dimensions}; a surface in space has 0, 1 and 2"
+            )
+    return {row.name: row for row in rows}

@@ -1,0 +1,281 @@
+"""A run's configuration, typed: every number that can change its result, and nothing else.
+
+`RunConfig` is one run, `LossConfig` what its topology term adds. Paths, thread counts and verbosity are not here: they cannot change
+the bits. A run's name is a hash of what differs from the defaults here (`identity`), so a new field renames no recorded run.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar, get_type_hints
+
+from paper_artifact.errors import InputError
+
+# Raise this when the default of a field changes (a new field changes none), and note below what it was.
+DEFAULTS_VERSION = 1
+# What defaults were in older versions, {version: {"steps": 2500, "loss.rho": 0.1}}, so that records of those versions keep their names.
+FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
+
+KINDS = ("topology", "repulsion")
+FLOOR_SOURCES = ("bundle", "live")
+FALLBACKS = ("detach", "drop", "subgradient", "denser")
+METHODS = ("fast", "gudhi")
+STEPS_OF_THE_STUDY = 2500
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """What a condition adds to the photometric loss. Raises InputError for a value out of range.
+
+    Lengths are divided by the ground truth's bounding-box diagonal.
+    """
+
+    kind: str = "topology"  # "topology": matched persistence (paper §3.3); "repulsion": the norm-matched control C2 (§3.5)
+    rho: float = (
+        0.1  # norm of the weighted topology gradient ÷ photometric gradient, at the first active step (§3.4)
+    )
+    ramp: tuple[float, float] | None = (
+        0.2,
+        0.5,
+    )  # fractions of the run between which λ grows from 0 to its peak; None: no ramp
+    recruitment: bool = True  # the paper's L_recruit: missing targets claim the nearest unmatched bar
+    noise: float = 0.0  # standard deviation of the noise that only the plan sees (C7)
+    repulsion_radius: float = 4.0  # reach of the control, in median spacings of the target
+    curvature_weighted: bool = False  # weigh each bar by the curvature at its samples (C4; our definition)
+    samples: int = 2048  # M: points of the live cloud and of the target bundle
+    dimensions: tuple[int, ...] | None = (
+        None  # where the loss acts; None: every dimension with a significant target bar
+    )
+    bundle_seed: int = 0  # of the target bundle's samples
+    refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
+    floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
+    fallback: str = (
+        "detach"  # what becomes of a pair that fails the Gabriel gate, see `paper_artifact.topology.gate`
+    )
+    method: str = "fast"  # alpha persistence by our kernels ("fast") or by gudhi (the oracle)
+
+    def __post_init__(self) -> None:
+        _one_of("loss kind", self.kind, KINDS)
+        _one_of("floor_source", self.floor_source, FLOOR_SOURCES)
+        _one_of("Gabriel fallback", self.fallback, FALLBACKS)
+        _one_of("persistence method", self.method, METHODS)
+        for name in ("rho", "repulsion_radius"):
+            _positive(self, name)
+        if not 0 <= self.noise < math.inf:
+            raise InputError(f"noise must not be negative, got {self.noise}")
+        for name, least in {"samples": 4, "bundle_seed": 0, "refresh_every": 0}.items():
+            _at_least(self, name, least)
+        if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
+            raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
+        if self.dimensions is not None and not (self.dimensions and set(self.dimensions) <= {0, 1, 2}):
+            raise InputError(
+                f"dimensions must be some of 0, 1, 2, or None for all that are significant, got {self.dimensions}"
+            )
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One training run. Raises InputError for a value out of range."""
+
+    shape: str  # an analytic shape, the key of an external mesh, or a mesh file
+    condition: str = "C0"  # a tag of `paper_artifact.catalogue`; what it means stands in `loss`
+    seed: int = 0  # of everything random
+    steps: int = STEPS_OF_THE_STUDY
+    budget: int = 1200  # N: triangles kept by pruning
+    views: int = 48  # rendered around the mesh, every 8th held out
+    size: int = 200  # of a view, pixels
+    background: str = "white"
+    batch: int = 4  # views per step
+    vertex_lr: float = 1e-2  # per unit of scene radius (world units)
+    feature_lr: float = 5e-2  # of the feature logits
+    opacity_lr: float = 5e-2  # of the opacity logits
+    mlp_lr: float = 1e-2  # of the shading MLP's weights
+    final_lr: float = 0.01  # every learning rate decays to this fraction
+    initial_ratio: float = (
+        7.5  # initial triangles ÷ budget; what is beyond the budget is pruned at the first resampling
+    )
+    resample_every: int = 100  # steps
+    split_views: int = 20  # views in which long edges are split
+    split_height: float = 0.2  # an edge longer than this fraction of the image height is split
+    dump_steps: tuple[int, ...] = (
+        100,
+        200,
+        400,
+        700,
+        1000,
+        1300,
+        1600,
+        1900,
+        2100,
+        2300,
+        2400,
+        2500,
+    )  # evaluated, after resampling
+    samples: int = 20_000  # surface samples of an evaluation
+    loss: LossConfig | None = None  # None: photometric loss only (C0)
+
+    def __post_init__(self) -> None:
+        lowest = {
+            "steps": 1,
+            "budget": 1,
+            "views": 2,
+            "batch": 1,
+            "resample_every": 1,
+            "split_views": 0,
+            "samples": 4,
+            "seed": 0,
+        }
+        for name, least in lowest.items():
+            _at_least(self, name, least)
+        if self.size < 22:
+            raise InputError(
+                f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}"
+            )
+        for name in (
+            "vertex_lr",
+            "feature_lr",
+            "opacity_lr",
+            "mlp_lr",
+            "final_lr",
+            "initial_ratio",
+            "split_height",
+        ):
+            _positive(self, name)
+        _one_of("background", self.background, ("white", "black"))
+        whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
+        if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
+            raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
+        if self.loss is not None and self.loss.refresh_every < 1:
+            raise InputError("refresh_every must be at least 1 in a run, got 0")
+
+
+Config = TypeVar("Config", LossConfig, RunConfig)
+
+
+def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
+    """Return `config` with fields replaced. Raises InputError for an unknown name or a value of the wrong kind or out of range."""
+    kinds = get_type_hints(type(config))
+    unknown = sorted(set(changes) - set(kinds))
+    if unknown:
+        raise InputError(f"unknown setting {', '.join(unknown)}; choose among {', '.join(kinds)}")
+    return replace(config, **{name: _converted(name, kinds[name], value) for name, value in changes.items()})
+
+
+def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
+    """Return {name: value} of texts NAME=VALUE; a value is a Python literal, a bare list "1,2", or else text.
+
+    option: the command-line option, for the message of the InputError that a text without an equals sign raises.
+    """
+    parsed: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"{option} takes NAME=VALUE, got {text!r}")
+        try:
+            parsed[name.replace("-", "_")] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            parsed[name.replace("-", "_")] = value
+    return parsed
+
+
+def config_values(config: LossConfig | RunConfig) -> dict[str, Any]:
+    """Return the configuration as a nested dict of all its fields, tuples kept."""
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    if isinstance(config, RunConfig) and config.loss is not None:
+        values["loss"] = config_values(config.loss)
+    return values
+
+
+def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> RunConfig:
+    """Return the RunConfig of a dict, also of one that went through JSON (lists for tuples); inverse of `config_values`.
+
+    A field that is not there has the default it had in `version`. Raises InputError for an unknown field or version.
+    """
+    given = dict(values)
+    loss = given.pop("loss", None)
+    run = with_changes(RunConfig(given.pop("shape", "")), {**_former(version, ""), **given})
+    if loss is None:
+        return run
+    return replace(run, loss=with_changes(LossConfig(), {**_former(version, "loss."), **loss}))
+
+
+def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
+    """Return what names a run: version, shape, condition, seed and the fields that differ from that version's defaults."""
+    named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
+    base = replace(config_from({"shape": config.shape}, version), condition="", seed=-0)
+    values = {"defaults": version} | _differing(config, base) | named
+    values.pop("loss", None)
+    if config.loss is not None:
+        values["loss"] = _differing(config.loss, with_changes(LossConfig(), _former(version, "loss.")))
+    return values
+
+
+def _differing(config: Config, base: Config) -> dict[str, Any]:
+    pairs = ((field.name, getattr(config, field.name), getattr(base, field.name)) for field in fields(config))
+    return {name: value for name, value, default in pairs if value != default}
+
+
+def _former(version: int, prefix: str) -> dict[str, Any]:
+    """Return the defaults of `version` that have changed since, of the fields whose names begin with `prefix`."""
+    if not 1 <= version <= DEFAULTS_VERSION:
+        raise InputError(
+            f"the defaults' version {version} is unknown to this code, which knows 1 to {DEFAULTS_VERSION}"
+        )
+    changed: dict[str, Any] = {}
+    for later in range(DEFAULTS_VERSION - 1, version - 1, -1):  # the oldest statement that still holds wins
+        changed |= FORMER_DEFAULTS.get(later, {})
+    own = {name: value for name, value in changed.items() if name.startswith("loss.") == bool(prefix)}
+    return {name.removeprefix(prefix): value for name, value in own.items()}
+
+
+def _converted(name: str, kind: Any, value: Any) -> Any:
+    """Return `value` as a field of that type takes it; InputError when it is another kind of thing."""
+    text = str(kind)
+    if isinstance(value, list):
+        value = tuple(value)
+    if "tuple" in text and isinstance(value, int) and not isinstance(value, bool):
+        value = (value,)
+    if "float" in text and "tuple" not in text and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if "tuple[float" in text and isinstance(value, tuple):
+        value = tuple(float(item) if isinstance(item, int) else item for item in value)
+    fits = {
+        "int": isinstance(value, int) and not isinstance(value, bool),
+        "float": isinstance(value, float) and math.isfinite(value),
+        "bool": isinstance(value, bool),
+        "str": isinstance(value, str),
+    }
+    if kind in (int, float, bool, str):
+        good = fits[kind.__name__]
+    elif "tuple" in text:
+        item = float if "tuple[float" in text else int
+        good = (
+            value is None
+            and "None" in text
+            or isinstance(value, tuple)
+            and all(type(x) is item for x in value)
+        )
+    else:
+        good = value is None or isinstance(value, LossConfig)
+    if not good:
+        word = kind.__name__ if kind in (int, float, bool, str) else text
+        raise InputError(f"{name} takes a value of kind {word}, got {value!r}")
+    return value
+
+
+def _at_least(config: Any, name: str, least: int) -> None:
+    if getattr(config, name) < least:
+        raise InputError(f"{name} must be at least {least}, got {getattr(config, name)}")
+
+
+def _positive(config: Any, name: str) -> None:
+    if not 0 < getattr(config, name) < math.inf:
+        raise InputError(f"{name} must be positive and finite, got {getattr(config, name)}")
+
+
+def _one_of(word: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(f"unknown {word} {value!r}; choose one of {', '.join(known)}")
