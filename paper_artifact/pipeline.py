@@ -18,7 +18,7 @@ from paper_artifact.evaluate.scores import evaluate_soup, make_target, tails
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import RESULTS
 from paper_artifact.mesh import Mesh
-from paper_artifact.raster import functions
+from paper_artifact.raster.view import ViewRaster, make_camera
 from paper_artifact.record.store import make_record, read_record, record_path, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
 from paper_artifact.scene.find import find_mesh
@@ -87,15 +87,10 @@ def make_run_term(config: RunConfig, mesh: Mesh):
 def render_views(soup: Soup, scene: Scene, views: np.ndarray) -> np.ndarray:
     """Return the soup's images (n,H,W,3) float32 in [0,1] of the scene's views, threshold .5 (evaluation, no randomness)."""
     height, width = scene.images.shape[1:3]
-    images = []
-    with torch.no_grad():
-        for view in views:
-            raster = functions.rasterize(
-                soup.vertices, torch.sigmoid(soup.opacity), scene.world_to_clip[[view]], height, width, None
-            )
-            colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, scene.background)
-            images.append(colour[0].permute(1, 2, 0).numpy())
-    return np.stack(images)
+    drawn, view = soup.drawn(), ViewRaster(height, width)
+    cameras = [make_camera(scene.world_to_clip[index]) for index in views]
+    colours = [view.render(drawn, camera, scene.background).copy() for camera in cameras]
+    return np.stack(colours).transpose(0, 2, 3, 1)
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path = SCENES) -> Scene:
