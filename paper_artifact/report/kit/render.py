@@ -1,0 +1,114 @@
+"""Pictures of surfaces and triangle soups in one neutral material, drawn by the project's own rasterizer (`raster.visibility`).
+
+Flat Lambert shading with one normal per face, turned towards the camera: a soup's triangles have no common winding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from paper_artifact.errors import InputError
+from paper_artifact.raster.visibility import rasterize_opaque, to_clip
+from paper_artifact.scene.cameras import Camera, look_at, world_to_clip
+
+MATERIAL = (0.86, 0.84, 0.80)  # neutral, RGB in [0,1]
+CUT = (0.75, 0.36, 0.24)  # of what a cut lays bare
+AMBIENT = 0.34
+LIGHT = (
+    -0.45,
+    -0.65,
+    -1.0,
+)  # towards the light, camera frame (x right, y down, z forward): over the viewer's left shoulder
+FIELD_OF_VIEW = 30.0  # degrees
+MARGIN = 1.04  # of the image around the framed points
+SUPERSAMPLING = 2
+
+
+def framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camera:
+    """Return the square camera of `size` pixels whose image the points (n,3), world units, seen from `direction` (3,), just fill;
+    z upwards.
+
+    direction: from the points towards the camera, any length. Raises InputError for a direction along z.
+    """
+    unit = direction / np.linalg.norm(direction)
+    rotation = look_at(unit, np.zeros(3), size, FIELD_OF_VIEW).rotation
+    seen = points @ rotation.T
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    x, y, z = (seen - middle).T
+    # A point at lateral offset x and depth distance + z is in view if |x| <= tan(angle / 2) · (distance + z).
+    distance = float((MARGIN * np.maximum(abs(x), abs(y)) / np.tan(np.radians(FIELD_OF_VIEW) / 2) - z).max())
+    target = rotation.T @ middle
+    return look_at(target + distance * unit, target, size, FIELD_OF_VIEW)
+
+
+def render_flat(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    size: int = 256,
+    *,
+    direction: tuple[float, float, float] = (0.9, -1.3, 0.8),
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    frame: np.ndarray | None = None,
+    material: tuple[float, float, float] | np.ndarray = MATERIAL,
+    inside: tuple[float, float, float] | None = None,
+) -> np.ndarray:
+    """Return an image (size,size,3) float32 in [0,1] of opaque triangles over white.
+
+    vertices (V,3) world units, faces (F,3). direction: from the object towards the camera, up: upwards in the image; world axes,
+    any length. frame: points (n,3), world units, that the image is fitted to (default: the object's own), so that pictures of one
+    shape agree.
+    material: RGB, or one per face (F,3). inside: a second colour, unshaded, for faces seen from behind (a closed surface that
+    was cut open then shows its cut filled). Raises InputError for arrays of other shapes, nothing to draw or no direction.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or not len(faces)
+    ):
+        raise InputError(
+            f"a picture needs vertices (V,3) and faces (F,3), at least one, got {vertices.shape} and {faces.shape}"
+        )
+    if size < 1:
+        raise InputError(f"a picture needs at least one pixel, got {size}")
+    turn = _upright(np.asarray(up, dtype=np.float64))
+    vertices, towards = vertices @ turn.T, turn @ np.asarray(direction, dtype=np.float64)
+    if not np.isfinite(vertices).all() or not 0 < np.linalg.norm(towards) < np.inf:
+        raise InputError("a picture needs finite vertices and a direction that is not zero")
+    used = vertices[np.unique(faces)]
+    camera = framed_camera(
+        used if frame is None else np.asarray(frame, dtype=np.float64) @ turn.T, towards, size * SUPERSAMPLING
+    )
+    colours = _face_colours(vertices[faces], camera, material, inside)
+    reach = float(np.linalg.norm(used - camera.position, axis=1).max())
+    clip = world_to_clip(camera, 0.02 * reach, 1.01 * reach).astype(np.float32)
+    hit = rasterize_opaque(to_clip(vertices.astype(np.float32), clip), faces, camera.height, camera.width)[0]
+    image = np.concatenate([np.ones((1, 3)), colours])[hit]
+    return image.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3)).astype(np.float32)
+
+
+def _face_colours(corners: np.ndarray, camera: Camera, material, inside) -> np.ndarray:
+    """RGB (F,3) of triangles (F,3,3), world units, seen from the camera."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    facing = np.einsum("ij,ij->i", normals, camera.position - corners[:, 0])
+    light = camera.rotation.T @ (np.asarray(LIGHT) / np.linalg.norm(LIGHT))
+    lambert = np.clip((np.where(facing < 0, -1.0, 1.0)[:, None] * normals) @ light, 0, 1)
+    own = np.broadcast_to(np.asarray(material, dtype=np.float64), normals.shape)
+    colours = own * (AMBIENT + (1 - AMBIENT) * lambert)[:, None]
+    return (
+        colours
+        if inside is None
+        else np.where((facing < 0)[:, None], np.asarray(inside, dtype=np.float64), colours)
+    )
+
+
+def _upright(up: np.ndarray) -> np.ndarray:
+    """The smallest rotation (3,3) that takes `up` to +z, the cameras' upward direction."""
+    length = np.linalg.norm(up)
+    if not 0 < length < np.inf:
+        raise InputError("up must be a direction that is not zero")
+    return Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / length])[0].as_matrix()
