@@ -1,3 +1,3 @@
 """Old name of `report.kit.published`, until every caller has moved."""
 
-from paper_artifact.report.kit.published import *  # noqa: F403
+from paper_artifact.report.kit.published import *

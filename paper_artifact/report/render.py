@@ -1,3 +1,3 @@
 """Old name of `report.kit.render`, until every caller has moved."""
 
-from paper_artifact.report.kit.render import *  # noqa: F403
+from paper_artifact.report.kit.render import *

@@ -1,3 +1,3 @@
 """Old name of `report.kit.records`, until every caller has moved."""
 
-from paper_artifact.report.kit.records import *  # noqa: F403
+from paper_artifact.report.kit.records import *

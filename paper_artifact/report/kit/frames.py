@@ -1,8 +1,10 @@
-"""Tidy frames with common keys: our runs, our arms and the paper's values, so that "ours beside the paper's" is a join.
+"""Tidy frames with common keys: our runs, our arms and the paper's values, so that "ours beside the paper's"
+is a join.
 
-The keys are shape, condition and, where a row is one run, seed. Shapes and conditions come from the records, in the catalogue's
-order. A tail is the bottleneck distance to the target in the shape's judged dimension, mean of the last three dumps, radius over
-the bounding-box diagonal; Chamfer is the mean of both directions over the diagonal; None and NaN mean unknown.
+The keys are shape, condition and, where a row is one run, seed. Shapes and conditions come from the records,
+in the catalogue's order. A tail is the bottleneck distance to the target in the shape's judged dimension,
+mean of the last three dumps, radius over the bounding-box diagonal; Chamfer is the mean of both directions
+over the diagonal; None and NaN mean unknown.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import pandas as pd
 from paper_artifact import catalogue
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
+from paper_artifact.report.kit.text import blank
 from paper_artifact.study.verdict import BASELINE, Verdict, rows_of, verdict
 
 ARM = ["shape", "condition"]
@@ -42,7 +45,8 @@ def conditions(collected: Collected) -> list[str]:
 
 
 def in_order(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame sorted by the catalogue's shapes and conditions, and by what it holds else in the order it has."""
+    """Return the frame sorted by the catalogue's shapes and conditions, and by what it holds else in the
+    order it has."""
     places = {
         "shape": {name: place for place, name in enumerate(shapes_in_order(frame["shape"]))},
         "condition": {name: place for place, name in enumerate(catalogue.in_order(set(frame["condition"])))},
@@ -51,8 +55,8 @@ def in_order(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def runs(collected: Collected) -> pd.DataFrame:
-    """Return one row per record: shape, condition, seed, dimension (judged), tail, chamfer, count (significant bars at the end
-    in that dimension) and expected (see `study.verdict.rows_of`)."""
+    """Return one row per record: shape, condition, seed, dimension (judged), tail, chamfer, count
+    (significant bars at the end in that dimension) and expected (see `study.verdict.rows_of`)."""
     return in_order(pd.DataFrame(rows_of(collected.records), columns=RUN_COLUMNS)).reset_index(drop=True)
 
 
@@ -62,9 +66,9 @@ def verdicts(collected: Collected) -> dict[str, Verdict]:
 
 
 def arms(collected: Collected) -> pd.DataFrame:
-    """Return one row per shape and condition that was asked for: wanted (how many seeds), dimension, seeds, tails and counts
-    (tuples, by seed), mean and sd (n - 1) of the tails, ratio (mean of C0 / mean; NaN for C0), chamfer (mean), chamfer ratio
-    (to C0's).
+    """Return one row per shape and condition that was asked for: wanted (how many seeds), dimension, seeds,
+    tails and counts (tuples, by seed), mean and sd (n - 1) of the tails, ratio (mean of C0 / mean; NaN for
+    C0), chamfer (mean), chamfer ratio (to C0's).
 
     An arm without any record has no seeds, empty tuples and NaN.
     """
@@ -87,12 +91,12 @@ def arms(collected: Collected) -> pd.DataFrame:
     frame = in_order(pd.DataFrame(rows, columns=ARM_COLUMNS)).reset_index(drop=True)
     baseline = frame[frame["condition"] == BASELINE].set_index("shape")["chamfer"].astype(float)
     frame["chamfer ratio"] = frame["chamfer"].astype(float) / frame["shape"].map(baseline)
-    return frame.astype(dict.fromkeys(STATISTICS, float))
+    return frame.astype(dict.fromkeys(STATISTICS, float) | {"dimension": "Int64"})
 
 
 def dumps(collected: Collected) -> pd.DataFrame:
-    """Return one row per record and dump: shape, condition, seed, step, bottleneck (radius / D) and count in the judged
-    dimension, Chamfer in percent of D."""
+    """Return one row per record and dump: shape, condition, seed, step, bottleneck (radius / D) and count
+    in the judged dimension, Chamfer in percent of D."""
     rows = []
     for record in collected.records:
         dimension, config = record["mesh"]["dimension"], record["config"]
@@ -105,26 +109,30 @@ def dumps(collected: Collected) -> pd.DataFrame:
 
 
 def paper(quantity: str = "tail_bottleneck", *tables: str) -> pd.DataFrame:
-    """Return the paper's values of a quantity from these tables (default: TAILS), one row per row of the tables.
+    """Return the paper's values of a quantity from these tables (default: TAILS), one row per row of the
+    tables.
 
-    Columns: shape, condition, seed and samples (NaN where the row is of no single one), dimension, value, printed (the same as a
-    text with the paper's digits), sd (NaN where none is printed), ratio (C0 / this as printed, a text, "" where none is), note,
-    table. Raises InputError for an unknown table.
+    Columns: shape, condition, seed and samples (NaN where the row is of no single one), dimension, value,
+    printed (the same as a text with the paper's digits), sd (NaN where none is printed), ratio (C0 / this as
+    printed, a text, "" where none is), note, table. Raises InputError for an unknown table.
     """
     frames = []
     for name in tables or TAILS:
         own = published(name)
         frames.append(own[own["quantity"] == quantity].assign(table=name).reindex(columns=PAPER_COLUMNS))
-    return pd.concat(frames, ignore_index=True).fillna({"ratio": "", "note": ""})
+    frame = pd.concat(frames, ignore_index=True)
+    return frame.assign(ratio=blank(frame["ratio"]), note=blank(frame["note"]))
 
 
 def paper_arms(quantity: str = "tail_bottleneck", *tables: str) -> pd.DataFrame:
-    """Return the rows of `paper` that are no single seed's: one per shape and condition, of the first table that has it."""
+    """Return the rows of `paper` that are no single seed's: one per shape and condition, of the first
+    table that has it."""
     frame = paper(quantity, *tables)
     return frame[frame["seed"].isna()].drop_duplicates(ARM)
 
 
 def paper_verdicts(*tables: str) -> dict[str, Verdict]:
-    """Return the verdicts that the paper's per-seed tails in these tables (default: TAILS) give by the study's rule."""
+    """Return the verdicts that the paper's per-seed tails in these tables (default: TAILS) give by the
+    study's rule."""
     frame = paper("tail_bottleneck", *tables)
     return verdict(frame[frame["seed"].notna()].rename(columns={"value": "tail"}))
