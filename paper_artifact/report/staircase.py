@@ -28,7 +28,9 @@ from paper_artifact.report.kit.staircase import (
 )
 from paper_artifact.scene.shapes import SHAPES
 
-Followed = Mapping[str, tuple[int, Sequence[int], str]]  # shape: (dimension, ranks of bars, what such a bar is)
+Followed = Mapping[
+    str, tuple[int, Sequence[int], str]
+]  # shape: (dimension, ranks of bars, what such a bar is)
 
 
 def measure_analytic_shapes(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
@@ -46,7 +48,9 @@ def table_s3(table: pd.DataFrame) -> pd.DataFrame:
 
 def law_table(table: pd.DataFrame) -> pd.DataFrame:
     """Return measured floor ÷ closed form per shape and density, mean over seeds, and the largest deviation of one seed."""
-    ratio = table.assign(ratio=table["floor"] / table["law"]).groupby(["shape", "samples"], sort=False)["ratio"]
+    ratio = table.assign(ratio=table["floor"] / table["law"]).groupby(["shape", "samples"], sort=False)[
+        "ratio"
+    ]
     mean = ratio.mean().unstack("samples")
     deviation = ratio.agg(lambda each: (each - 1).abs().max()).groupby("shape").max()
     return mean.round(3).assign(**{"largest deviation of a seed %": (100 * deviation).round(1)})
@@ -57,7 +61,9 @@ def followed_bars(table: pd.DataFrame, follow: Followed) -> pd.DataFrame:
     found, chosen = bars(table), []
     for shape, (dimension, ranks, name) in follow.items():
         for rank in ranks:
-            own = found[(found["shape"] == shape) & (found["dimension"] == dimension) & (found["rank"] == rank)]
+            own = found[
+                (found["shape"] == shape) & (found["dimension"] == dimension) & (found["rank"] == rank)
+            ]
             chosen.append(own.assign(bar=f"{name} {rank}"))
     return pd.concat(chosen, ignore_index=True)
 

@@ -119,7 +119,9 @@ def window_figure(margins: pd.DataFrame) -> Figure:
     places = {shape: place for place, shape in enumerate(medians["shape"].unique())}
     for dimension, colour in enumerate(("#1e8449", "#1f5fbf", "#c0392b")):
         seeds, own = (each[each["dimension"] == dimension] for each in (margins, medians))
-        axis.scatter(MULTIPLIER * seeds["margin"], seeds["shape"].map(places), s=3, color=colour, linewidths=0)
+        axis.scatter(
+            MULTIPLIER * seeds["margin"], seeds["shape"].map(places), s=3, color=colour, linewidths=0
+        )
         for face, chosen in ((colour, own[own["inside"]]), ("none", own[~own["inside"]])):
             axis.scatter(
                 MULTIPLIER * chosen["margin"],

@@ -107,7 +107,9 @@ def signature_table(table: pd.DataFrame) -> pd.DataFrame:
 def beside_published(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     """Return two tables of `signatures` one above the other, shape by shape: rows (shape, "ours" or "paper")."""
     both = pd.concat({"ours": ours, "paper": paper}, names=["whose"]).swaplevel()[ours.columns]
-    rows = [(shape, whose) for shape in ours.index for whose in ("ours", "paper") if (shape, whose) in both.index]
+    rows = [
+        (shape, whose) for shape in ours.index for whose in ("ours", "paper") if (shape, whose) in both.index
+    ]
     return both.loc[rows].rename(columns="M = {}".format).rename_axis([None, None]).rename_axis(columns=None)
 
 
