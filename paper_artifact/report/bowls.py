@@ -15,10 +15,10 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.mesh import Mesh
 from paper_artifact.report.figures import image_rows
+from paper_artifact.report.kit.staircase import counts, signature_table, staircase
 from paper_artifact.report.published import published
 from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.kit.staircase import counts, signature_table, staircase
 from paper_artifact.scene.find import surface
 from paper_artifact.scene.shapes import BOWL_RIMS
 from paper_artifact.study.tables import counts_text, published_rows, tails_text

@@ -18,7 +18,6 @@ from paper_artifact.report.kit.frames import paper
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (
     DENSITIES,
-    KEYS,
     SEEDS,
     bar_name,
     bars,

@@ -22,8 +22,8 @@ from paper_artifact.report.kit.staircase import (
     beside_published,
     counts,
     published_counts,
-    significant_counts,
     signatures,
+    significant_counts,
     staircases,
 )
 from paper_artifact.scene.shapes import SHAPES

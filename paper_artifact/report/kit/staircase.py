@@ -59,9 +59,9 @@ def staircases(
 
 
 def bars(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per bar of a staircase: its keys, dimension, rank, floor, law, lifetime, margin."""
-    columns = [name for name in table if name.startswith("h")]
-    long = table.melt([*KEYS, "floor", "law"], columns, "bar", "lifetime", ignore_index=False)
+    """Return one row per bar of a staircase: its other columns, dimension, rank, lifetime, margin."""
+    columns = table.filter(regex=r"^h\d_\d+$").columns
+    long = table.melt(table.columns.drop(columns), columns, "bar", "lifetime", ignore_index=False)
     long = long.sort_index(kind="stable")[lambda each: each["lifetime"] > 0].reset_index(drop=True)
     parts = long.pop("bar").str.extract(r"h(?P<dimension>\d)_(?P<rank>\d+)").astype(int)
     return long.join(parts).assign(margin=long["lifetime"] / long["floor"])
