@@ -181,4 +181,4 @@ def share_table(collected: Collected) -> pd.DataFrame:
         "loss adds s": paper["loss_seconds_per_run"],
         f"CPU s {BASELINE}": f"{paper['photometric_seconds_low']}–{paper['photometric_seconds_high']}",
     }
-    return pd.DataFrame.from_dict(rows, orient="index", dtype=object).rename_axis("shape").fillna("")
+    return pd.DataFrame(rows, dtype=object).T.rename_axis("shape").fillna("")
