@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
 from paper_artifact import catalogue
 from paper_artifact.catalogue import Condition, Shape
 from paper_artifact.config import LossConfig
-from paper_artifact.errors import InputError
-from paper_artifact.report import cost, generality, matrix, measured, plans, staircase, windows
+from paper_artifact.report import cost, generality, matrix, plans
 from paper_artifact.report.kit import tables
 from paper_artifact.report.kit.records import collect, collect_study
-from paper_artifact.scene.shapes import make_shape
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.topology.bundle import build_from_mesh
-from paper_artifact.topology.floor import significant
 from tests.report_records import write_study
 
 PANELS = (("torus", "C6"), ("torus", "C1"), ("sphere", "C1"))
@@ -122,105 +117,6 @@ def test_reports_of_nothing(tmp_path):
         and matrix.diagram_table(empty, "sphere").empty
         and tables.trajectory_table(empty, "sphere").empty
     )
-
-
-def test_staircase_counts_the_bundles_bars():
-    mesh = make_shape("torus")
-    table = staircase.staircase(mesh, (512, 1024), (0, 1))
-    bundle = build_from_mesh(mesh.vertices, mesh.faces, 1024, 1)
-    row = table[(table["samples"] == 1024) & (table["seed"] == 1)]
-    assert row["floor"].iloc[0] == pytest.approx(bundle.floor)
-    assert staircase.counts(row, 1).iloc[0] == len(bundle.bars[1])
-    assert row["h1_1"].iloc[0] == pytest.approx(np.ptp(bundle.bars[1][0]))
-    assert staircase.agreement(table, table) == (4, 0.0)
-    assert staircase.signature_table(table).loc["torus", 1024] == "(1,1,0)"
-    assert abs(staircase.law_table(table).loc["torus", 1024] - 1) < 0.1
-
-
-def test_stored_staircase_matches_what_the_code_measures():
-    stored = measured.read("staircase")
-    assert len(stored) == 8 * 6 * 5
-    lines, difference = staircase.agreement(
-        stored, staircase.measure_all(("cube", "bowl_wide"), (512,), (3,))
-    )
-    assert lines == 2 and difference < 1e-4
-    figure = staircase.floor_figure(stored, {"torus": (1, (1, 2), "loop")})
-    assert len(figure.axes[0].lines) == 4
-    crossing = staircase.crossing_table(stored, {"torus": (1, (1, 2), "loop")})["clears the floor from M ≈"]
-    assert crossing.tolist()[0] == "≤ 512" and 1024 < int(crossing.iloc[1]) < 2048
-
-
-def test_windows():
-    margins = windows.margin_table(("torus", "cube", "bowl_wide"), (0, 1))
-    torus = margins[(margins["shape"] == "torus") & (margins["seed"] == 0)]
-    assert torus["in"].tolist() == [True, True, False]
-    table = windows.window_table(margins)
-    assert table.loc["torus", "paper's IN"] == "1.33" and "loop 2" in table.loc["torus", "tightest IN"]
-    assert table.loc["cube", "largest OUT"] == "—" and "loop 1" in table.loc["bowl_wide", "largest OUT"]
-    window = windows.global_window(margins)
-    assert (
-        window.loc["paper", ["k from", "k to"]].tolist() == [5.12, 6.77]
-        and (window["k from"] < 6).all()
-        and (window["k to"] > 6).all()
-    )
-    low = 6 * torus[~torus["in"]]["margin"].max()
-    assert window.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
-    assert windows.window_figure(margins).axes
-
-
-def test_a_flip_point_is_where_the_bundle_changes():
-    mesh = make_shape("torus")
-    margins = windows.margin_table(("torus",), (0,))
-    flip = 6 * margins[margins["in"]]["margin"].min()
-    kept = [
-        len(build_from_mesh(mesh.vertices, mesh.faces, 2048, 0, k=k).bars[1])
-        for k in (flip - 0.01, flip + 0.01)
-    ]
-    assert kept == [2, 1]
-
-
-def test_cost_tables(study):
-    stored = cost.measure_all((200, 800), 1)
-    table = cost.beside_paper(stored)
-    assert (
-        list(table.index) == ["M = 200", "M = 800", "growth exponent"]
-        and table.loc["growth exponent", "paper ms"] == 1.05
-    )
-    assert set(cost.stage_table(stored).index) == set(cost.STAGES) and "gudhi 3" in cost.machine(stored)
-    assert len(cost.cost_figure(stored).axes[0].lines) == 4
-    growth = cost.growth_table(stored)
-    assert (
-        list(growth.index) == ["torus", "soup", "smooth torus"]
-        and growth["exponent, tetrahedra"].between(0.8, 1.4).all()
-    )
-    share = cost.share_table(study)
-    assert (
-        share.loc["sphere", "loss adds %"] == round(100 * 10 / 35)
-        and share.iloc[-1]["loss adds %"] == "112–139"
-    )
-
-
-def test_measurements_are_written_and_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        cost, "measure_all", lambda progress=None: pd.DataFrame({"M": [2048], "fast_ms": [1 / 3]})
-    )
-    path = measured.measure("cost", tmp_path)
-    assert path.read_text() == "M,fast_ms\n2048,0.333333\n" and measured.read("cost", tmp_path)[
-        "M"
-    ].tolist() == [2048]
-    with pytest.raises(InputError, match="python -m paper_artifact measure staircase"):
-        measured.read("staircase", tmp_path)
-    with pytest.raises(InputError, match="no measurement"):
-        measured.measure("nothing", tmp_path)
-
-
-def test_significance_by_counts_is_the_floors():
-    table = pd.DataFrame(
-        [{"floor": 0.1} | {f"h1_{rank}": value for rank, value in enumerate((0.5, 0.11, 0.1, 0.05), 1)}]
-    )
-    assert staircase.counts(table, 1).tolist() == [2]
-    assert staircase.counts(table, 1, multiplier=3).tolist() == [3]
-    assert significant(np.array([[0, 0.5], [0, 0.11], [0, 0.1], [0, 0.05]]), 0.1).sum() == 2
 
 
 def test_a_new_row_of_the_catalogue_is_tabulated_and_plotted(tmp_path, monkeypatch):

@@ -38,29 +38,3 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
             frame = frame.assign(**{name: pd.to_numeric(frame[name]) for name in NUMBERS if name in frame})
             return frame.astype({name: float for name in ("value", "sd") if name in frame})
     raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
-
-
-def published_value(
-    table: str, *, quantity: str = "tail_bottleneck", **columns: str | int
-) -> tuple[float, float]:
-    """Return (value, sd) of the one row of `table` with this quantity and these columns; sd is NaN where none
-    is printed.
-
-    published_value("1", shape="sphere", condition="C0") is its mean and sd. Raises InputError unless exactly
-    one row fits.
-    """
-    frame = published(table)
-    unknown = [name for name in columns if name not in frame]
-    if unknown:
-        raise InputError(
-            f"table {table} has no column {', '.join(unknown)}; it has {', '.join(frame.columns)}"
-        )
-    chosen = frame["quantity"] == quantity
-    for name, wanted in columns.items():
-        chosen &= frame[name] == wanted
-    if chosen.sum() != 1:
-        raise InputError(
-            f"{int(chosen.sum())} rows of table {table} have {quantity} and {columns}; name exactly one"
-        )
-    row = frame[chosen].iloc[0]
-    return float(row["value"]), float(row["sd"])

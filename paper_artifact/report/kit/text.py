@@ -14,6 +14,12 @@ def short(value: float) -> str:
     return f"{value:.4f}".removeprefix("0") if value < 1 else f"{value:.4f}"
 
 
+def span(values: Iterable[float], digits: int) -> str:
+    """Return the least and the largest value, "0.97–1.03"."""
+    values = list(values)
+    return f"{min(values):.{digits}f}–{max(values):.{digits}f}"
+
+
 def arm_text(mean: float, sd: float | None = None, ratio: float | str | None = None) -> str:
     """Return ".0156±.0013 (4.0×)" without the parts that are None, NaN or ""; a ratio that is a text is
     printed as it is."""
