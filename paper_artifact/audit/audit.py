@@ -22,8 +22,9 @@ KEPT_ABOVE = 0.2  # margins below this fraction of the floor are sampling noise 
 @dataclass(frozen=True, eq=False)
 class Audit:
     """name: as the command line was given it; mesh: welded; rungs: one per density and seed; decision: of the first seed's
-    rungs; bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working density else the
-    largest, first seed."""
+    rungs; bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working
+    density else the largest, first seed.
+    """
 
     name: str
     mesh: Mesh
@@ -75,8 +76,8 @@ def audit_mesh(
     """Certify `mesh` (loaded with or without its weld), measure its staircase, decide, and build the bundle.
 
     densities: M of the staircase, the working ones are added; seeds: the staircase's sampling seeds, from
-    `first_seed` on; the decision and the bundle are first_seed's;
-    progress: called with a line before each measurement. Raises InputError for a mesh without area or densities below 16.
+    `first_seed` on; the decision and the bundle are first_seed's; progress: called with a line before each
+    measurement. Raises InputError for a mesh without area or densities below 16.
     """
     if min((*densities, *working)) < 16 or seeds < 1 or first_seed < 0:
         raise InputError(

@@ -1,17 +1,18 @@
 """The pre-registered rule: which observable, at which density, before any training (paper §4, §6, suppl. B and G).
 
-1. The expected bars are the certified ones, (b0 - 1, b1, b2). Where no certificate of a closed surface exists, or none of its
-   classes is measurable, they are those that the clean surface itself shows at the largest working density (the bowls: an open
-   mouth caps).
-2. The class is the first dimension of H0, H1, H2 that is expected and has a significant bar at some working density.
-3. The density is the first working density at which all expected bars of the class are significant ("complete"); if there is
-   none, the first at which any is, and the loss is restricted to what is measurable ("partial": the torus and rocker-arm
-   precedent).
+1. The expected bars are the certified ones, (b0 - 1, b1, b2). Where no certificate of a closed surface
+   exists, or none of its classes is measurable, they are those that the clean surface itself shows at the
+   largest working density (the bowls: an open mouth caps).
+2. The class is the first dimension of H0, H1, H2 that is expected and has a significant bar at some working
+   density.
+3. The density is the first working density at which all expected bars of the class are significant
+   ("complete"); if there is none, the first at which any is, and the loss is restricted to what is measurable
+   ("partial": the torus and rocker-arm precedent).
 4. The loss also acts on every other expected dimension that is complete at this density, and on nothing else.
 
-The working densities are the study's two, M = 2048 and, where that is too coarse, M = 8192. The other rungs of the staircase
-are diagnostics: eight is complete at 4096 already, and the paper bundles it at 8192. A bar is significant iff its lifetime
-exceeds 6·r_med(M).
+The working densities are the study's two, M = 2048 and, where that is too coarse, M = 8192. The other rungs
+of the staircase are diagnostics: eight is complete at 4096 already, and the paper bundles it at 8192. A bar
+is significant iff its lifetime exceeds 6·r_med(M).
 """
 
 from __future__ import annotations
@@ -55,8 +56,9 @@ class Rung:
 class Decision:
     """dimension: the class (0, 1, 2), None when nothing is measurable, and then samples is None and dimensions empty.
 
-    dimensions: where the loss acts; expected: bars per dimension, "certificate" or "observation" being their basis; reasons:
-    the rule's steps as sentences; warnings: what an evaluation at a denser sample would stumble over.
+    dimensions: where the loss acts; expected: bars per dimension, "certificate" or "observation" being their
+    basis; reasons: the rule's steps as sentences; warnings: what an evaluation at a denser sample would
+    stumble over.
     """
 
     dimension: int | None

@@ -75,7 +75,8 @@ def _as(soup: Soup, dtype: torch.dtype) -> Soup:
 
 def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
     """Return rows {what, ms, ratio to the trainer's step}: medians of interleaved forward + backward passes, CPU time of one
-    thread."""
+    thread.
+    """
     scene, soup = sphere_case(results)
     views = scene.train[np.arange(4) * len(scene.train) // 4]
     target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))

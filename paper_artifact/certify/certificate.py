@@ -1,7 +1,7 @@
 """The certificate of a mesh: exact weld, surface checks, exact homology, its agreement with the Euler characteristic, a verdict.
 
-Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own triangles:
-self-intersections do not change it, and are not looked for.
+Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own
+triangles: self-intersections do not change it, and are not looked for.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from paper_artifact.mesh import Mesh, weld
 class Component:
     """One connected component. euler = vertices - edges + faces of its distinct simplices; betti over Z/2.
 
-    genus: of a closed orientable component or of one with boundary loops filled; for a non-orientable one the number of
-    crosscaps; None where the component is no manifold. volume: signed, cubic world units, None unless closed and consistently
-    wound. expected: the Betti numbers that the classification of surfaces gives from euler and the boundary; None for no
-    manifold.
+    genus: of a closed orientable component or of one with boundary loops filled; for a non-orientable one the
+    number of crosscaps; None where the component is no manifold. volume: signed, cubic world units, None
+    unless closed and consistently wound. expected: the Betti numbers that the classification of surfaces
+    gives from euler and the boundary; None for no manifold.
     """
 
     vertices: int
@@ -52,9 +52,10 @@ class Component:
 class Certificate:
     """Counts after the exact weld, unless they are called as_indexed.
 
-    betti: of the whole complex over Z/2; betti2_dual: b2 counted once more by duality, None where that would be too large;
-    euler: of the distinct simplices; euler_as_given counts repeated faces each time. components: largest first. verdict: "pass"
-    or "fail" with reasons; with_boundary: open edges were allowed. notes: what is odd and changes no verdict. kind: in words.
+    betti: of the whole complex over Z/2; betti2_dual: b2 counted once more by duality, None where that would
+    be too large; euler: of the distinct simplices; euler_as_given counts repeated faces each time.
+    components: largest first. verdict: "pass" or "fail" with reasons; with_boundary: open edges were allowed.
+    notes: what is odd and changes no verdict. kind: in words.
     """
 
     name: str
@@ -108,8 +109,8 @@ class Certificate:
 def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
     """Return the Certificate of a Mesh (load it with `welded=False` to have its own indexing reported).
 
-    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises InputError when nothing is
-    left after the weld.
+    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises
+    InputError when nothing is left after the weld.
     """
     return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary)
 

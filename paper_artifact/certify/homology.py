@@ -1,14 +1,14 @@
 """Exact simplicial homology over Z/2 of a two-dimensional complex, by sparse reduction, and a second count of b2 by duality.
 
-b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is a relation among
-them. Relations are eliminated without fill-in as long as some edge lies in one live relation only (a free face; clearing as in
-Chen & Kerber 2011); where none is left, one triangle is set aside, and at the end each such column is reduced against the
-pivots: it vanishes (a 2-cycle, b2), or enters a small dense elimination. b1 = cycles - rank. This is independent of any alpha
-complex and of floating point.
+b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is
+a relation among them. Relations are eliminated without fill-in as long as some edge lies in one live relation
+only (a free face; clearing as in Chen & Kerber 2011); where none is left, one triangle is set aside, and at
+the end each such column is reduced against the pivots: it vanishes (a 2-cycle, b2), or enters a small dense
+elimination. b1 = cycles - rank. This is independent of any alpha complex and of floating point.
 
-The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal coefficients, the
-edge of one triangle sets zero, the others give the equations. The two counts share no elimination, so their agreement is a
-check.
+The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal
+coefficients, the edge of one triangle sets zero, the others give the equations. The two counts share no
+elimination, so their agreement is a check.
 """
 
 from __future__ import annotations
@@ -180,7 +180,8 @@ def _collapse(face_edges: np.ndarray, tree: np.ndarray):
 def _reduce(face_edges, tree, pivot_faces, pivot_time, deferred, deferred_time):
     """What is left of each face set aside once all pivots are eliminated: edges, one list after the other, and the lists' ends.
 
-    An eliminated relation holds its pivot and edges that become pivots later or never, so one sweep in order of time does it.
+    An eliminated relation holds its pivot and edges that become pivots later or never, so one sweep in order
+    of time does it.
     """
     bits = np.zeros(len(pivot_faces) // 64 + 1, dtype=np.uint64)
     odd = np.zeros(len(tree), dtype=np.bool_)

@@ -13,8 +13,9 @@ from scipy.sparse.csgraph import connected_components
 class Complex:
     """Distinct simplices of a mesh whose vertices are all used.
 
-    faces (F,3) int64 and edges (E,2) int64: vertex indices, each row increasing, rows in lexicographic order; face_edges (F,3)
-    int64: the edges (01, 12, 02) of each face; component_of_vertex (V,) int64: labels 0..C-1 in order of the first vertex.
+    faces (F,3) int64 and edges (E,2) int64: vertex indices, each row increasing, rows in lexicographic order;
+    face_edges (F,3) int64: the edges (01, 12, 02) of each face; component_of_vertex (V,) int64: labels 0..C-1
+    in order of the first vertex.
     """
 
     faces: np.ndarray

@@ -1,6 +1,7 @@
 """Is a triangle mesh a surface? Open and non-manifold edges, pinched vertices, boundary loops, winding, orientability, volume.
 
-All counts are of the faces as given (a face given twice counts twice at its edges), on exactly welded vertices.
+All counts are of the faces as given (a face given twice counts twice at its edges), on exactly welded
+vertices.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from paper_artifact.mesh import face_areas
 class SurfaceChecks:
     """What is wrong or open, each attributed to the C components of the vertices.
 
-    open_edges, nonmanifold_edges, boundary_loops, pinched_vertices, reversed_edges (C,) int64: edges of one face; edges of more
-    than two; closed chains of open edges; vertices whose faces form more than one fan; edges whose two faces wind alike
-    (wrongly). orientable (C,) bool: a consistent winding exists. volume (C,) float64: signed, cubic world units, positive for
-    outward winding, meaningful for closed components only. duplicate_faces and flat_faces (int): repeats of another face; faces
-    of zero area.
+    open_edges, nonmanifold_edges, boundary_loops, pinched_vertices, reversed_edges (C,) int64: edges of one
+    face; edges of more than two; closed chains of open edges; vertices whose faces form more than one fan;
+    edges whose two faces wind alike (wrongly). orientable (C,) bool: a consistent winding exists. volume (C,)
+    float64: signed, cubic world units, positive for outward winding, meaningful for closed components only.
+    duplicate_faces and flat_faces (int): repeats of another face; faces of zero area.
     """
 
     open_edges: np.ndarray

@@ -47,7 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Audit, write the report, print a summary. Returns 0, also when nothing is measurable; InputError goes to the caller."""
+    """Audit, write the report, print a summary.
+
+    Returns 0, also when nothing is measurable; InputError goes to the caller.
+    """
     import matplotlib
     from tqdm import tqdm
 

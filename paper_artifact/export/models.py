@@ -24,9 +24,9 @@ def write_ply(path: Path | str, triangles: Triangles) -> None:
 def write_glb(path: Path | str, triangles: Triangles) -> None:
     """Write the triangles of mean opacity ≥ .5 as binary glTF 2.0, unlit, double-sided, with vertex colours.
 
-    glTF wants COLOR_0 linear, so the bytes are the colours after the inverse sRGB curve; a conforming viewer shows the trained
-    colours. Opacity is left out: soups blended without sorting look wrong. Raises InputError as `Triangles.visible` does,
-    and when `path` is not writable.
+    glTF wants COLOR_0 linear, so the bytes are the colours after the inverse sRGB curve; a conforming viewer
+    shows the trained colours. Opacity is left out: soups blended without sorting look wrong. Raises
+    InputError as `Triangles.visible` does, and when `path` is not writable.
     """
     shown = triangles.visible()
     mesh = _trimesh(shown, srgb_to_linear(shown.colours), np.ones_like(shown.opacity))

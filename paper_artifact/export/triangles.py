@@ -19,7 +19,8 @@ STONE = (0.72, 0.70, 0.66)  # colour of a mesh that has none
 @dataclass(frozen=True, eq=False)
 class Triangles:
     """T triangles: vertices (T,3,3) float32 world units; colours (T,3,3) float32 RGB in [0,1], as shown on a screen (sRGB);
-    opacity (T,3) float32 in [0,1], per corner."""
+    opacity (T,3) float32 in [0,1], per corner.
+    """
 
     vertices: np.ndarray
     colours: np.ndarray
@@ -41,8 +42,9 @@ class Triangles:
 def soup_triangles(soup: Soup) -> Triangles:
     """Return the soup's triangles with the colour of each corner baked in: viewers know no shading MLP.
 
-    A corner's colour is the trained shading (base and MLP blended, DiffSoup) averaged over 14 directions to the camera,
-    weighted with |cos| to the triangle's normal, so that the directions a triangle is seen from count most, from either side.
+    A corner's colour is the trained shading (base and MLP blended, DiffSoup) averaged over 14 directions to
+    the camera, weighted with |cos| to the triangle's normal, so that the directions a triangle is seen from
+    count most, from either side.
     """
     with torch.no_grad():
         vertices, features = soup.vertices.detach().cpu(), torch.sigmoid(soup.features.detach().cpu())

@@ -1,8 +1,9 @@
 """The exact unsigned distance to a triangle soup on a regular grid, in a narrow band around it.
 
-For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab around its plane)
-and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5) is minimised; beyond the band the
-field is the band. No sign, no ray, no winding: the soup may be open, overlapping and non-manifold.
+For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab
+around its plane) and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5)
+is minimised; beyond the band the field is the band. No sign, no ray, no winding: the soup may be open,
+overlapping and non-manifold.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: fl
     """Return the DistanceGrid of triangles, vertices (V,3) float64 and faces (F,3) int64, with spacing `cell`; all in world
     units.
 
-    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large, or sizes are not
-    positive.
+    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large,
+    or sizes are not positive.
     """
     if not (np.isfinite([cell, band]).all() and cell > 0 and band > 0):
         raise InputError(f"grid spacing and band must be positive lengths, got {cell} and {band}")

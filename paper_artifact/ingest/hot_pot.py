@@ -1,9 +1,9 @@
 """A procedural hot pot with a flue, in the role of the paper's tom-yum pot, which is not public.
 
-Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with 12-gons, junction edges
-where three shells meet, no inside. After ingest it is one body of genus 3: two slot handles and one vent slot give six thin
-loops, and the flue with its narrow mouth is open, so that its chamber is a void only to a measurement. It is a stand-in, not
-the paper's pot.
+Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with
+12-gons, junction edges where three shells meet, no inside. After ingest it is one body of genus 3: two slot
+handles and one vent slot give six thin loops, and the flue with its narrow mouth is open, so that its chamber
+is a void only to a measurement. It is a stand-in, not the paper's pot.
 """
 
 from __future__ import annotations

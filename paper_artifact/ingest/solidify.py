@@ -1,7 +1,8 @@
 """Offset solidification: the boundary of everything within ε of a triangle soup, without the pockets that it encloses.
 
-Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets dropped, and
-certification by measurement. The result depends on the input's points, ε and the spacing alone: rebuilds are bit-identical.
+Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets
+dropped, and certification by measurement. The result depends on the input's points, ε and the spacing alone:
+rebuilds are bit-identical.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points ma
 @dataclass(frozen=True, eq=False)
 class Solid:
     """shell: the closed surface, vertices rounded to float32 and welded, wound outwards; raw and certificate: what was measured
-    of the input and of the shell; offset ε and cell: world units; grid: its shape; pockets: enclosed cavities that were filled.
+    of the input and of the shell; offset ε and cell: world units; grid: its shape; pockets: enclosed cavities
+    that were filled.
     """
 
     shell: Mesh
@@ -63,8 +65,8 @@ class Solid:
 def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     """Return the Solid of a raw Mesh. offset: ε divided by the bounding-box diagonal; cells: grid cells per ε, at least 1.
 
-    Features and gaps below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too
-    large, or a mesh so far from the origin that float32 cannot hold its shell.
+    Features and gaps below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell,
+    a grid too large, or a mesh so far from the origin that float32 cannot hold its shell.
     """
     if not 0 < offset <= 0.25:
         raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {offset}")
@@ -95,9 +97,9 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
 def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.ndarray, int]:
     """Return the field with every enclosed pocket filled, and their number.
 
-    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of outside points that
-    does not reach the border, and gets values below iso. Values within `nudge` of iso move to that distance, on their side of
-    it.
+    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of
+    outside points that does not reach the border, and gets values below iso. Values within `nudge` of iso
+    move to that distance, on their side of it.
     """
     outside = values > iso
     labels, count = ndimage.label(outside)

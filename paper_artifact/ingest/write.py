@@ -27,8 +27,8 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
     """Write a Mesh whose vertices are float32 values as PLY (binary), OBJ or STL (binary), by the path's ending, read it back,
     certify.
 
-    The file appears only when it reads back to the same points and passes the certificate, which is returned. Raises InputError
-    otherwise, for another ending, and when the folder is not writable.
+    The file appears only when it reads back to the same points and passes the certificate, which is returned.
+    Raises InputError otherwise, for another ending, and when the folder is not writable.
     """
     check_format(path)
     with atomic_path(path) as temporary:
