@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     matplotlib.use("Agg")
-    from paper_artifact.audit.audit import audit_mesh
+    from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.page import audit_page, headline
     from paper_artifact.audit.rule import DENSITIES, WORKING
     from paper_artifact.files import write_json, write_text
