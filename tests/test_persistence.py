@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
 from paper_artifact.alpha import delaunay, ordering
+from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
 from paper_artifact.bench import persistence as benchmark
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import trimesh
 
-from paper_artifact.audit.audit import audit_mesh
+from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.ingest.hot_pot import pot_solid, raw_pot
 from paper_artifact.report import pot as report
 from paper_artifact.report.kit.published import published

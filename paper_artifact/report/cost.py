@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from paper_artifact.bench.persistence import CLOUDS as DRAWN
 from paper_artifact.bench.persistence import growth_exponent, persistence_rows
 from paper_artifact.catalogue import BASELINE, LOSS
+from paper_artifact.export.figures import new_figure
 from paper_artifact.record.environment import host, packages
-from paper_artifact.report.kit.figures import new_figure
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.sampling import sample_surface

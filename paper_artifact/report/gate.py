@@ -11,7 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from paper_artifact.report.kit.figures import draw_cloud, label_axis, new_figure
+from paper_artifact.export.figures import new_figure
+from paper_artifact.report.kit.figures import draw_cloud, label_axis
 from paper_artifact.report.kit.published import published
 from paper_artifact.study.repair import Probe, Trajectory, make_probe, repair
 

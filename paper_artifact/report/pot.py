@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from trimesh.intersections import slice_faces_plane
 
-from paper_artifact.audit.audit import Audit
+from paper_artifact.audit.measure import Audit
 from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate
 from paper_artifact.evaluate.diagram import lifetimes

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.report.kit.figures import draw_cloud, draw_diagram, new_figure
+from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.report.kit.published import published
 from paper_artifact.study.blindness import CASES, SAMPLES, Probe, Reading, make_probe, noise_floor, read
 

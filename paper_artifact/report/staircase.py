@@ -12,7 +12,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.evaluate.staircase import MULTIPLIER
-from paper_artifact.report.kit.figures import label_axis, new_figure
+from paper_artifact.export.figures import new_figure
+from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.frames import shapes_in_order
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.evaluate.staircase import MULTIPLIER
-from paper_artifact.report.kit.figures import new_figure
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import BAR_NAMES, bar_name, bars, staircase
 from paper_artifact.report.kit.text import span

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import atomic_path
+from paper_artifact.files import atomic_path, load_npz
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
 
@@ -91,18 +91,11 @@ def load_soup(path: Path | str) -> Soup:
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
-        with (
-            open(path, "rb") as handle,
-            np.load(handle) as data,
-        ):  # np.load alone leaks the handle of a damaged file
-            tensors = [
-                torch.from_numpy(data[name].astype(np.float32))
-                for name in ("vertices", "features", "opacity")
-            ]
-            mlp = tuple(
-                torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES))
-            )
-    except Exception as error:  # numpy raises many kinds for a damaged archive
+        data = load_npz(path)
+        names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
+        values = tuple(torch.from_numpy(data[name].astype(np.float32)) for name in names)
+        tensors, mlp = values[:3], values[3:]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]
     count = shapes[0][0] if shapes[0] else 0

@@ -17,7 +17,7 @@ import numpy as np
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
 from paper_artifact.randomness import stream
-from paper_artifact.topology.floor import measurement_floor, significant
+from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, significant
 
 FORMAT = "paper_artifact target bundle 1"
 
@@ -83,7 +83,7 @@ def build_bundle(
     *,
     dimensions: tuple[int, ...] | None = None,
     suppress: tuple[int, ...] = (),
-    k: float = 6.0,
+    k: float = MULTIPLIER,
     shape: str = "points",
     seed: int = 0,
     source: str | None = None,

@@ -10,6 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
+from paper_artifact.mesh import check_diagonal
+
+MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
 
 
 def median_spacing(points: np.ndarray) -> float:
@@ -28,16 +31,13 @@ def median_spacing(points: np.ndarray) -> float:
     return float(np.median(distances[:, 1]))
 
 
-def measurement_floor(points: np.ndarray, diagonal: float, k: float = 6.0) -> float:
+def measurement_floor(points: np.ndarray, diagonal: float, k: float = MULTIPLIER) -> float:
     """Return the floor k·r_med/diagonal: lifetimes (radius / diagonal, dimensionless) above it are significant.
 
     points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in the paper.
     Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal that is not positive.
     """
-    if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
-        )
+    check_diagonal(diagonal)
     return k * median_spacing(points) / float(diagonal)
 
 

@@ -12,8 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import in_order
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_bands, label_axis, new_figure
+from paper_artifact.report.kit.figures import draw_bands, label_axis
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, seeds_text, tails_text
 from paper_artifact.study.verdict import BASELINE, LOSS
