@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from paper_artifact.errors import InputError
+from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
@@ -45,12 +46,6 @@ class Mesh:
     def radius(self) -> float:
         """Radius of the bounding sphere around `centre`, world units; 1 for the unit sphere."""
         return float(np.linalg.norm(self.vertices - self.centre, axis=1).max())
-
-
-def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas (F,) float64 of the triangles, in squared units of vertices (V,3)."""
-    corner = np.asarray(vertices, dtype=np.float64)[faces]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +140,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
         _check_indices(vertices, faces, str(path))
     mesh = checked_mesh(
         np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets)]),
+        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)]),
         str(path),
         welded=welded,
     )

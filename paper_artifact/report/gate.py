@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.report.figures import draw_cloud, new_figure
 from paper_artifact.report.published import published
-from paper_artifact.study.repair import Probe, Trajectory, make_probe, repair
+from paper_artifact.study.repair import RepairProbe, Trajectory, make_probe, repair
 
 PROBES = ("T1", "T2", "T3", "T4", "T4d")
 WHAT = {
@@ -31,7 +31,7 @@ VIEW = {
     "T4": (0, 1),
     "T4d": (0, 1),
 }  # coordinate axes of the picture
-Runs = dict[str, tuple[Probe, Trajectory]]
+Runs = dict[str, tuple[RepairProbe, Trajectory]]
 
 
 def run_gate(names: Iterable[str] = PROBES, seed: int = 0, record_every: int = 20) -> Runs:
