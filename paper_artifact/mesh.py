@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from paper_artifact.errors import InputError
+from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
@@ -44,27 +45,12 @@ class Mesh:
         return float(np.linalg.norm(self.vertices - self.centre, axis=1).max())
 
 
-def check_diagonal(diagonal: float) -> None:
-    """Raise InputError unless `diagonal` (world units) is a positive, finite length."""
-    if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; "
-            "use the ground truth's bounding-box diagonal"
-        )
-
-
 def mesh_hash(mesh: Mesh) -> str:
     """Return the sha256 (hex) of the mesh's vertices and faces; the name does not count."""
     digest = hashlib.sha256(f"{len(mesh.vertices)} {len(mesh.faces)} ".encode())
     digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(mesh.faces, dtype="<i8").tobytes())
     return digest.hexdigest()
-
-
-def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas (F,) float64 of the triangles, in squared units of vertices (V,3)."""
-    corner = np.asarray(vertices, dtype=np.float64)[faces]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

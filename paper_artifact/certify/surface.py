@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from paper_artifact.certify.simplices import edges_of, labels_of_graph
-from paper_artifact.mesh import face_areas
+from paper_artifact.sampling import face_areas
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from paper_artifact.evaluate.bottleneck import bottleneck
-from paper_artifact.mesh import check_diagonal
+from paper_artifact.topology.floor import check_diagonal
 
 Diagram = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import check_diagonal
+from paper_artifact.topology.floor import check_diagonal
 
 
 def chamfer_sum(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:

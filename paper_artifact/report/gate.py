@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit.figures import draw_cloud, label_axis
 from paper_artifact.report.kit.published import published
-from paper_artifact.study.repair import Probe, Trajectory, make_probe, repair
+from paper_artifact.study.repair import RepairProbe, Trajectory, make_probe, repair
 
 PROBES = {  # name: what happens, coordinate axes of its picture
     "T1": ("punctured void closes", (0, 2)),
@@ -24,7 +24,7 @@ PROBES = {  # name: what happens, coordinate axes of its picture
     "T4d": ("the same, dense bridge", (0, 1)),
 }
 ZERO = 1e-12  # a bottleneck distance below it is rounding
-Runs = dict[str, tuple[Probe, Trajectory]]
+Runs = dict[str, tuple[RepairProbe, Trajectory]]
 
 
 def run_gate(names: Iterable[str] = tuple(PROBES), seed: int = 0, record_every: int = 20) -> Runs:

@@ -11,9 +11,17 @@ from matplotlib.figure import Figure
 from paper_artifact.export.figures import draw_diagram, new_figure
 from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.report.kit.published import published
-from paper_artifact.study.blindness import CASES, SAMPLES, Probe, Reading, make_probe, noise_floor, read
+from paper_artifact.study.blindness import (
+    CASES,
+    SAMPLES,
+    BlindnessProbe,
+    Reading,
+    make_probe,
+    noise_floor,
+    read,
+)
 
-Measured = dict[tuple[str, int], tuple[Probe, Reading, Reading]]
+Measured = dict[tuple[str, int], tuple[BlindnessProbe, Reading, Reading]]
 SHOWN = 5000  # points drawn of a cloud
 
 
