@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS
+from paper_artifact.files import REPOSITORY
 
-PUBLISHED = RESULTS / "published"
+PUBLISHED = REPOSITORY / "results" / "published"  # also where results go elsewhere
 NUMBERS = ("dimension", "value", "sd", "seeds", "seed", "samples", "genus")
 TEXTS = ("shape", "condition", "quantity", "note", "source", "knob", "setting")
 
@@ -34,7 +34,8 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
             frame = pd.read_csv(path, keep_default_na=False, na_values=dict.fromkeys(NUMBERS, ""))
             kinds = dict.fromkeys(TEXTS, str) | dict.fromkeys(("value", "sd"), float)
             return frame.astype({name: kind for name, kind in kinds.items() if name in frame})
-    raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
+    known = ", ".join(tables(folder)) or f"none, since {folder} holds none: work in a checkout of the repository"
+    raise InputError(f"the paper has no table '{table}' here; known: {known}")
 
 
 def published_value(
