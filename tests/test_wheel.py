@@ -109,7 +109,9 @@ def test_the_wheel_holds_the_package_alone_and_says_it_is_typed(installed):
 
 def test_the_readmes_program_runs(installed):
     (program,) = blocks("python")
-    result = installed.run("-W", "error", "-c", program + "\nimport paper_artifact\nprint(paper_artifact.__file__)")
+    result = installed.run(
+        "-W", "error", "-c", program + "\nimport paper_artifact\nprint(paper_artifact.__file__)"
+    )
     assert result.returncode == 0, result.stderr
     assert "gradient: torch.Size([512, 3])" in result.stdout
     assert result.stdout.splitlines()[-1] == str(installed.target / "paper_artifact" / "__init__.py")
@@ -147,7 +149,9 @@ def test_a_name_that_needs_a_checkout_is_told_so_and_nonsense_is_nonsense(instal
         assert len(result.stderr.strip().splitlines()) == 1
 
 
-@pytest.mark.parametrize("arguments", [["run-all"], ["audit", "sphere"], ["ingest", "my.obj", "--out", "shell.ply"]])
+@pytest.mark.parametrize(
+    "arguments", [["run-all"], ["audit", "sphere"], ["ingest", "my.obj", "--out", "shell.ply"]]
+)
 def test_a_verb_of_an_extra_names_it(installed, arguments):
     result = installed.command(*arguments)
     assert result.returncode == 1 and "Traceback" not in result.stderr

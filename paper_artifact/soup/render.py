@@ -11,7 +11,7 @@ from paper_artifact.soup.state import Soup
 
 
 def render_views(soup: Soup, scene: Scene, views: np.ndarray) -> np.ndarray:
-    """Return the soup's images (n,H,W,3) float32 in [0,1] of the scene's views (indices (n,)), rendered at the threshold .5."""
+    """Return the soup's images (n,H,W,3) float32 in [0,1] of the scene's views with these indices (n,)."""
     height, width = scene.images.shape[1:3]
     images = []
     with torch.no_grad():

@@ -1,13 +1,14 @@
-"""The study's verdict rule and its tables, as pure functions of plain rows (paper §4, Protocol: metrics and verdict).
+"""The study's verdict rule, as pure functions of plain rows (paper §4, Protocol: metrics and verdict).
 
-A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the discriminating
-dimension, mean of the last three dumps, radius / diagonal), and where known "dimension", "chamfer", "count" (significant bars
-at the end, in that dimension) and "expected" (the target's count). A list of rows or a pandas DataFrame will do; None
-and NaN mean unknown.
+A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the
+discriminating dimension, mean of the last three dumps, radius / diagonal), and where known "dimension",
+"chamfer", "count" (significant bars at the end, in that dimension) and "expected" (the target's count). A
+list of rows or a pandas DataFrame will do; None and NaN mean unknown.
 
-The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean, disjoint per-seed ranges)
-at Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the sample standard deviation (n - 1). Welch's
-sigma is given only where both arms ran at least five seeds. Counts (phantoms) are reported, they do not decide.
+The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean,
+disjoint per-seed ranges) at Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the
+sample standard deviation (n - 1). Welch's sigma is given only where both arms ran at least five seeds. Counts
+(phantoms) are reported, they do not decide.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from paper_artifact.catalogue import BASELINE, CONTROLS, LOSS
 from paper_artifact.errors import InputError
 
-BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")
 PARITY = 1.15
 WELCH_SEEDS = 5
 
@@ -30,66 +31,67 @@ Rows = Iterable[Mapping] | pd.DataFrame
 
 @dataclass(frozen=True)
 class Arm:
-    """One shape's runs under one condition, in seed order. mean, sd of `tails` (sd None for one seed); chamfer: mean or None;
-    counts: significant bars per seed, None where unknown; ratio: mean of C0 / this mean, None without C0, inf for a zero mean."""
+    """One shape's runs under one condition."""
 
     condition: str
-    seeds: tuple[int, ...]
-    tails: tuple[float, ...]
-    counts: tuple[int | None, ...]
-    chamfer: float | None
-    ratio: float | None = None
+    seeds: tuple[int, ...]  # ascending; the next two are in this order
+    tails: tuple[float, ...]  # radius / diagonal
+    counts: tuple[int | None, ...]  # significant bars in the judged dimension, None where unknown
+    chamfer: float | None  # mean over the seeds, divided by the diagonal; None where unknown
+    ratio: float | None = None  # mean of C0 / this mean; None without C0, inf for a zero mean
 
     @property
     def mean(self) -> float:
+        """Return the mean of the tails."""
         return float(np.mean(self.tails))
 
     @property
     def sd(self) -> float | None:
+        """Return the sample standard deviation of the tails, None for one seed."""
         return float(np.std(self.tails, ddof=1)) if len(self.tails) > 1 else None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The rule applied to one shape.
+    """The rule applied to one shape. Every dict is by condition.
 
-    outcome: "pass", or why not: "saturated" (every tail of C0 and C1 is one value), "no effect" (C1 and C0 overlap),
-    "worse" (C1 above C0), "parity failed", "tied by control" (overlaps a control), "beaten by control", "incomplete" (an arm is
-    missing); reason: one sentence. below: condition -> is C1's mean smaller; disjoint: condition -> do the ranges not touch;
-    parity: True, False or None (Chamfer unknown); parity_ratio; welch: condition -> sigma (only five-seed arms);
-    phantoms, missing: condition -> seeds that end with more or fewer significant bars than expected (only known counts).
+    Outcomes: "pass", or why not: "saturated" (every tail of C0 and C1 is one value), "no effect" (C1 and C0
+    overlap), "worse" (C1 above C0), "parity failed", "tied by control" (overlaps a control), "beaten by
+    control", "incomplete" (an arm is missing).
     """
 
     shape: str
-    dimension: int | None
+    dimension: int | None  # the judged one
     outcome: str
-    reason: str
+    reason: str  # one sentence
     arms: dict[str, Arm]
-    below: dict[str, bool] = field(default_factory=dict)
-    disjoint: dict[str, bool] = field(default_factory=dict)
-    parity: bool | None = None
-    parity_ratio: float | None = None
-    welch: dict[str, float] = field(default_factory=dict)
-    phantoms: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    missing: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    below: dict[str, bool] = field(default_factory=dict)  # is C1's mean smaller
+    disjoint: dict[str, bool] = field(default_factory=dict)  # do the ranges of C1 and this arm not touch
+    parity: bool | None = None  # None: Chamfer unknown
+    parity_ratio: float | None = None  # Chamfer of C1 / of C0
+    welch: dict[str, float] = field(default_factory=dict)  # sigma, of five-seed arms only
+    phantoms: dict[str, tuple[int, ...]] = field(default_factory=dict)  # seeds with more bars than expected
+    missing: dict[str, tuple[int, ...]] = field(default_factory=dict)  # seeds with fewer
 
     @property
     def passed(self) -> bool:
+        """Return whether the outcome is "pass"."""
         return self.outcome == "pass"
 
     @property
     def ratio(self) -> float | None:
-        """Mean of C0 / mean of C1, or None when an arm is missing."""
+        """Return mean of C0 / mean of C1, None when an arm is missing."""
         return self.arms[LOSS].ratio if LOSS in self.arms else None
 
 
 def rows_of(records: Iterable[Mapping]) -> list[dict]:
-    """Return the rows of run records (`paper_artifact.record`); runs that are not done or have no tail are left out.
+    """Return the rows of run records (`paper_artifact.record`); runs without a tail are left out.
 
-    Expected counts, the same for every arm of a shape: the mesh's Betti number where known (finite bars: one component less in
-    dimension 0), or the bars of the shape's bundle where they are more (a bowl is a disk, but its samples show a void) or alone.
+    Expected counts, the same for every arm of a shape: the mesh's Betti number where known (finite bars: one
+    component less in dimension 0), or the bars of the shape's bundle where they are more (a bowl is a disk,
+    but its samples show a void) or alone.
     """
-    records = [each for each in records if each.get("status", "done") == "done" and each.get("tails")]
+    records = [each for each in records if each.get("tails")]
     bundled: dict[str, int] = {}
     for record in records:
         if record.get("bundle"):
@@ -113,16 +115,18 @@ def rows_of(records: Iterable[Mapping]) -> list[dict]:
 
 
 def verdict(rows: Rows, controls: Sequence[str] = CONTROLS) -> dict[str, Verdict]:
-    """Return the verdict of every shape of `rows`, in order of appearance; `controls` without rows are not asked for.
+    """Return the verdict of every shape of `rows`, in order of appearance; `controls` without rows are not
+    asked for.
 
-    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs twice in an arm,
-    and for a shape with two dimensions.
+    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs
+    twice in an arm, and for a shape with two dimensions.
     """
     return {shape: _judge(shape, group, controls) for shape, group in _by_shape(rows).items()}
 
 
 def welch_sigma(a: Sequence[float], b: Sequence[float]) -> float | None:
-    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds or without variance."""
+    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds or
+    without variance."""
     if min(len(a), len(b)) < WELCH_SEEDS:
         return None
     variance = np.var(a, ddof=1) / len(a) + np.var(b, ddof=1) / len(b)
@@ -130,14 +134,15 @@ def welch_sigma(a: Sequence[float], b: Sequence[float]) -> float | None:
 
 
 def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> tuple[float, float, int]:
-    """Return (mean, sample sd, passes) of the ratio C0/C1 over the shapes `members`: Table 2's pre-registered group rows.
+    """Return (mean, sample sd, passes) of the ratio C0/C1 over the shapes `members`: Table 2's group rows.
 
     Raises InputError when a member has no ratio.
     """
     absent = [name for name in members if name not in verdicts or verdicts[name].ratio is None]
     if absent or len(members) < 2:
         raise InputError(
-            f"a group needs at least two shapes with C0 and C1 each; missing: {', '.join(absent) or 'a second member'}"
+            "a group needs at least two shapes with C0 and C1 each; "
+            f"missing: {', '.join(absent) or 'a second member'}"
         )
     ratios = [verdicts[name].ratio for name in members]
     return (

@@ -13,7 +13,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.raster import functions
 from paper_artifact.raster.fused import FusedStep
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, soup_of
 
 
 class CpuBackend:
@@ -70,11 +70,8 @@ class TwinBackend:
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [
-            tensor.detach().to(device, dtype).clone()
-            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        ]
-        return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in tensors]).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -100,6 +97,9 @@ class TwinBackend:
         return loss.item()
 
 
+Backend = CpuBackend | TwinBackend
+
+
 def check_device(device: str) -> None:
     """Raise InputError unless `device` is "cpu", "auto", or "cuda" where there is one."""
     if device not in ("cpu", "cuda", "auto"):
@@ -108,7 +108,7 @@ def check_device(device: str) -> None:
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray):
+def backend_for(device: str, scene: Scene, views: np.ndarray) -> Backend:
     """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
