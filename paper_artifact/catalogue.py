@@ -16,31 +16,38 @@ from paper_artifact.config import STEPS_OF_THE_STUDY, LossConfig, RunConfig, wit
 from paper_artifact.errors import InputError
 
 Axis = tuple[float, float, float]
-Counts = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Shape:
     """One ground truth of the study (paper §4, App. B, E–G). Everything was fixed before any training."""
 
-    name: str  # an analytic shape, a key of data_scripts/meshes.csv, or "pot"
-    group: str  # "analytic", "loop group", "void group" (pre-registered, App. G), "bowls" or "allocation"
-    judged: int  # the judged dimension: whose bottleneck is the tail (the paper's decision; Tables 1, 2, S10)
-    features: Counts  # finite classes (H0, H1, H2) that a dense sample shows; genera are certified
+    name: str
+    # where it stands: "analytic", "loop group", "void group" (pre-registered, App. G), "bowls" or
+    # "allocation"
+    group: str
+    # the judged dimension: whose bottleneck is the tail (Tables 1, 2, S2, S10), a decision of the paper's
+    judged: int
+    features: tuple[
+        int, int, int
+    ]  # finite classes (H0, H1, H2) that a dense sample shows; genera are certified
     budget: int = 1200  # N, triangles
     samples: int = 2048  # M of bundle and loss
-    dimensions: tuple[int, ...] | None = None  # where the loss acts; None: wherever a bar is significant
-    bundle_seed: int = 0  # of the target bundle's samples
+    dimensions: tuple[int, ...] | None = (
+        None  # where the loss acts; None: every dimension with a significant bar
+    )
+    bundle_seed: int = 0
     view: Axis = (0.8, -1.1, 0.6)  # of its pictures: from the object towards the camera, world axes
     up: Axis = (0.0, 0.0, 1.0)  # upwards in its pictures, world axes
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One arm of the study (paper §3.5, §4). Tables list arms in the order of the rows."""
+    """One arm of the study (paper §3.5, §4); the tags keep the paper's numbering. Tables list arms in the
+    order of the rows."""
 
-    name: str  # the tag, in the paper's numbering
-    description: str  # in a few words, for legends
+    name: str
+    description: str
     colour: str  # in every figure: grey baseline, blue loss and its variants, red controls
     loss: LossConfig | None = None  # what it adds; None: nothing, and no code of the topology package is run
 
@@ -105,7 +112,8 @@ def shapes_of(*groups: str) -> tuple[str, ...]:
 
 
 def get_condition(name: str) -> Condition:
-    """Return the row of that tag. Raises InputError for an unknown one (C5 is one) and as `check` does."""
+    """Return the row of that tag. Raises InputError for an unknown one, C5 among them, and as `check`
+    does."""
     rows = check(CONDITIONS, "condition")
     if name in rows:
         return rows[name]
@@ -137,7 +145,8 @@ def study_config(
     loss: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> RunConfig:
-    """Return the study's configuration of one run: the shape's row, the condition's loss, fitting dump steps.
+    """Return the study's configuration of one run: the shape's row, the condition's definition, dump steps
+    that fit the steps.
 
     loss: changes to the condition's LossConfig; changes: to the RunConfig. With other than 2,500 steps the
     dump steps scale with them. Raises InputError for unknown names, values out of range, or loss settings for
@@ -152,8 +161,11 @@ def study_config(
     if row is not None:
         settings["budget"] = row.budget
     config = RunConfig(shape)
-    steps = changes.get("steps", config.steps)
-    if steps != STEPS_OF_THE_STUDY and isinstance(steps, int) and steps > 0:
+    if (
+        (steps := changes.get("steps", config.steps)) != STEPS_OF_THE_STUDY
+        and isinstance(steps, int)
+        and steps > 0
+    ):
         scaled = {max(1, round(step * steps / STEPS_OF_THE_STUDY)) for step in config.dump_steps}
         changes = {"dump_steps": tuple(sorted(scaled))} | changes
         config = replace(config, dump_steps=())  # none is beyond the end while the fields are set one by one
@@ -167,7 +179,8 @@ def study_config(
 
 
 def check(rows: Sequence[Any], word: str) -> dict[str, Any]:
-    """Return {name: row}. Raises InputError, naming the row, for a second one or a false dimension."""
+    """Return {name: row}. Raises InputError, naming the row, for a duplicate name or a dimension that does
+    not exist."""
     twice = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
     if twice:
         raise InputError(

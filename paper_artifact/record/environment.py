@@ -14,7 +14,8 @@ LIBRARIES = ("numpy", "scipy", "numba", "torch", "gudhi", "trimesh", "pillow")
 
 
 def packages() -> dict[str, str | None]:
-    """Return the versions of what decides a run's numbers: Python, this package, libraries (None: absent)."""
+    """Return the versions of Python, this package and the libraries that decide a run's numbers; None where
+    absent."""
     versions: dict[str, str | None] = {
         "python": platform.python_version(),
         "paper_artifact": paper_artifact.__version__,
@@ -56,7 +57,8 @@ def cpu_model() -> str:
 
 
 def peak_memory_mib() -> int | None:
-    """Return the process's largest resident size so far in MiB, None where the system does not tell it."""
+    """Return the process's largest resident size so far in MiB, or None where the system does not tell
+    (Windows)."""
     try:
         import resource
     except ImportError:

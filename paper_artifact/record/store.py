@@ -61,7 +61,8 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
 
 def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
-    """Return 12 hex digits: the SHA-256 of the run's identity under that version of the defaults."""
+    """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the
+    defaults."""
     return _hash(plain(identity(config, version)))[:12]
 
 
@@ -74,13 +75,15 @@ def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEF
 
 
 def recorded_path(config: RunConfig, folder: Path | str = RUNS) -> Path | None:
-    """Return the path of the record that is there, of the newest version of the defaults, or None."""
+    """Return the path of the record of `config` that is there, under the newest version of the defaults that
+    has one, or None."""
     paths = [record_path(config, folder, version) for version in range(DEFAULTS_VERSION, 0, -1)]
     return next((path for path in paths if path.is_file()), None)
 
 
 def config_of(record: Mapping) -> RunConfig:
-    """Return the record's configuration; a field newer than the record has its default. Raises InputError."""
+    """Return the record's configuration; a field that is newer than the record has its default. InputError
+    when it is not one."""
     return config_from(record["config"], record["defaults"])
 
 
@@ -92,11 +95,11 @@ def make_record(
     losses: Mapping[str, list] | None = None,
     **more: Any,
 ) -> dict:
-    """Return a record as a JSON-ready dict.
+    """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length,
+    "step" among them.
 
-    timings: seconds by stage; losses: columns of equal length, "step" among them; more: further sections
-    ("images", "topology", "soup", ...). Losses are thinned to LOSS_POINTS rows, the last kept. Raises
-    InputError for a section that JSON cannot hold.
+    more: further sections ("images", "topology", "soup", ...). Losses are thinned to LOSS_POINTS rows, the
+    last kept. Raises InputError for a section that JSON cannot hold.
     """
     body = {
         "schema": SCHEMA,
@@ -146,7 +149,7 @@ def read_record(path: Path | str) -> dict:
         ) from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise InputError(
-            f"{path} is no run record of this artifact (schema {SCHEMA}); move it out of the folder"
+            f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder"
         )
     if record.get("version") != VERSION:
         raise InputError(
@@ -184,7 +187,8 @@ def read_record(path: Path | str) -> dict:
 
 
 def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
-    """Return the records in `folder`, by file name, whose config has each filter's value, or one of several.
+    """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list,
+    tuple or set).
 
     find_records(shape="torus", condition=("C0", "C1"), seed=range(3)). An empty or missing folder gives [].
     Damaged records raise InputError, whatever the filters.
@@ -211,7 +215,9 @@ def _thinned(losses: Mapping[str, Any]) -> dict:
     if len(lengths) > 1:
         raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
     length = lengths.pop() if lengths else 0
-    kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int))
+    kept = (
+        np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
+    )
     return {
         name: [int(x) if name == "step" else _short(x) for x in values[kept]]
         for name, values in columns.items()

@@ -1,6 +1,7 @@
 """Splitting triangles whose edges are long on screen (DiffSoup `remesh_clip`).
 
-Lengths are in NDC with x scaled by width/height: an image is 2 units high, a fifth of its height is 0.4.
+Lengths are in NDC with x scaled by width/height, so an image is 2 units high: "1/5 of the image height" is
+0.4.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ def _squared_length(a, b, aspect):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
-    """Bisect wanted triangles, and halves, at their longest screen edge until none exceeds `limit` (NDC).
+    """Bisect the longest screen-space edge of each wanted triangle, and of its halves, until none exceeds
+    `limit` (NDC).
 
     corners (T,3,3) float32 world, origins (T,) int64, wanted (T,) bool, matrix (4,4) world → clip. Returns
     (corners (T',3,3), origins (T',)): halves stay in place of the parent and at the end, both with the

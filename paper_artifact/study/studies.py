@@ -37,7 +37,8 @@ def study_configs(
     conditions: list[str] | None = None,
     seeds: list[int] | None = None,
 ) -> list[RunConfig]:
-    """Return the study's runs, seed by seed within each block, so that a sweep cut short leaves whole seeds.
+    """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The
+    lists restrict it.
 
     Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that
     leaves nothing.
@@ -64,7 +65,7 @@ def study_configs(
     ]
     if not configs:
         raise InputError(
-            f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds}; "
+            f"study {name!r} has no run with shape {shapes}, condition {conditions}, seed {seeds} at once; "
             "see paper_artifact/study/studies.py"
         )
     return configs

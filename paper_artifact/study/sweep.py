@@ -6,12 +6,12 @@ from __future__ import annotations
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
+from typing import Callable, Iterator
 
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
@@ -22,15 +22,17 @@ from paper_artifact.study.worker import failure_of, start_run
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one run ended."""
+    """One run's end: its configuration, seconds of wall time, and the reason it failed (None when it is
+    recorded)."""
 
     config: RunConfig
-    seconds: float  # of wall time
-    failure: str | None  # why it failed, None when it is recorded
+    seconds: float
+    failure: str | None
 
 
 def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
-    """Return those without a record in results/runs. Raises InputError for a damaged one: it is kept."""
+    """Return those without a record in results/runs. A damaged record raises InputError: it is never silently
+    overwritten."""
     todo = []
     for config in configs:
         path = recorded_path(config, results / "runs")

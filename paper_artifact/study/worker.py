@@ -64,7 +64,8 @@ def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
 
 
 def main() -> int:
-    """Run the configuration on the command line; the last line of stderr says what went wrong."""
+    """Run the configuration on the command line; the last line of stderr says what went wrong, if
+    anything."""
     if sys.argv[4:] == ["watched"]:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"

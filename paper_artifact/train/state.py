@@ -1,4 +1,5 @@
-"""A run's state between two steps (soup, optimisers, history) and its learning rates at any step."""
+"""A run's state between two steps: soup, optimisers, history; and its learning rates as a function of the
+step."""
 
 from __future__ import annotations
 
@@ -14,8 +15,6 @@ from paper_artifact.config import RunConfig
 from paper_artifact.soup.state import Soup
 from paper_artifact.soup.vector_adam import VectorAdam
 
-Optimisers = dict[str, torch.optim.Optimizer]
-
 
 class TrainingError(RuntimeError):
     """The run itself broke (a value that is not finite); the message names step, quantity and what to try."""
@@ -27,11 +26,15 @@ class TrainState:
 
     step: int  # steps taken: steps count from 1, 0 is the start
     soup: Soup  # on the backend's device while training, on the CPU at the end
-    optimisers: Optimisers  # by what they move: "vertices", "features" (with the opacity), "mlp"
+    optimisers: dict[
+        str, torch.optim.Optimizer
+    ]  # by what they move: "vertices", "features" (with the opacity), "mlp"
     resampled: bool = True  # the soup was changed wholesale since the last step, as at the start
     losses: list[float] = field(default_factory=list)  # photometric loss of every step, dimensionless
     dumps: list[dict] = field(default_factory=list)  # evaluations
-    resamplings: list[dict] = field(default_factory=list)  # step and the numbers of a `ResampleReport`
+    resamplings: list[dict] = field(
+        default_factory=list
+    )  # step, triangles before, after pruning, after splitting
     seconds: dict[str, float] = field(default_factory=dict)  # wall time by stage
     resumed_at: int | None = None  # step of the checkpoint that this run went on from
 
@@ -43,14 +46,16 @@ class TrainState:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
 
     def set_rates(self, rates: dict[str, tuple[float, ...]]) -> None:
-        """Set the rates (of `learning_rates`) of all parameter groups and forget the last gradients."""
+        """Set the learning rates of every optimiser's parameter groups (see `learning_rates`) and forget the
+        last gradients."""
         for name, optimiser in self.optimisers.items():
             for group, rate in zip(optimiser.param_groups, rates[name], strict=True):
                 group["lr"] = rate
             optimiser.zero_grad(set_to_none=True)
 
     def replace_soup(self, soup: Soup) -> None:
-        """Go on with another soup and new optimisers; the MLP keeps its moments."""
+        """Go on with another soup: new optimisers, but the MLP's moments stay, since only its tensors may be
+        new ones."""
         moments = self.optimisers["mlp"].state_dict()
         self.soup, self.optimisers, self.resampled = soup, soup_optimisers(soup), True
         self.optimisers["mlp"].load_state_dict(moments)
@@ -61,7 +66,8 @@ class TrainState:
             self._broken(f"the loss of step {self.step} is {loss}", f"vertex_lr {config.vertex_lr}")
 
     def check_vertices(self, config: RunConfig) -> None:
-        """Raise TrainingError unless all vertices are finite: the raster skips others silently."""
+        """Raise TrainingError unless all vertices are finite; the raster skips such corners, so no loss would
+        ever tell."""
         if not torch.isfinite(self.soup.vertices.detach()).all():
             self._broken(f"vertices are not finite after step {self.step}", f"vertex_lr {config.vertex_lr}")
 
@@ -77,7 +83,7 @@ class TrainState:
         raise TrainingError(f"{what}; lower the learning rates ({rates}) and run again")
 
 
-def soup_optimisers(soup: Soup) -> Optimisers:
+def soup_optimisers(soup: Soup) -> dict[str, torch.optim.Optimizer]:
     """Return new optimisers of the soup's tensors; their learning rates are set at every step."""
     return {
         "features": torch.optim.Adam([{"params": [soup.features]}, {"params": [soup.opacity]}]),
@@ -87,10 +93,10 @@ def soup_optimisers(soup: Soup) -> Optimisers:
 
 
 def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, tuple[float, ...]]:
-    """Return the learning rates at `step` (from 1) per optimiser, one for each of its parameter groups.
+    """Return the learning rates at `step` (from 1) per optimiser, one per parameter group: exponential decay
+    to `final_lr`.
 
-    They decay exponentially to `final_lr` times their start. radius: the scene's, world units, which
-    vertex_lr is per unit of.
+    radius: the scene's, world units, which vertex_lr is per unit of.
     """
     decay = config.final_lr ** (step / config.steps)
     return {
