@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from paper_artifact.report.measured import MEASURED, MEASUREMENTS, measure
+from paper_artifact.report.measured import MEASURED, MEASUREMENTS, write
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and write the CSV. Returns 0."""
+    """Return 0 after the measurement is written to its CSV."""
     from tqdm import tqdm
 
     with tqdm(desc=f"measuring {arguments.name}", unit="part", disable=arguments.quiet) as bar:
@@ -31,6 +31,6 @@ def run(arguments: argparse.Namespace) -> int:
             bar.set_postfix_str(text)
             bar.update()
 
-        path = measure(arguments.name, arguments.out, progress)
+        path = write(arguments.name, arguments.out, progress)
     print(f"written: {path}")
     return 0

@@ -1,6 +1,7 @@
-"""Our differentiable alpha diagrams beside the libraries that offer them: the stored measurement and its table.
+"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them: the stored measurement and its table.
 
-Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file and needs no peer."""
+Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file and needs no peer.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +16,10 @@ from paper_artifact.bench.peers import OURS, PEERS, SIZES, peer_rows, why_missin
 from paper_artifact.errors import InputError
 from paper_artifact.record.environment import host, packages
 
-ROUNDING = 1e-12
+ROUNDING = 1e-12  # a difference up to it is none
 
 
-def measure_all(
+def measure_peers(
     sizes: Sequence[int] = SIZES, repetitions: int = 7, progress: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
     """Return the rows of `bench.peers.peer_rows` with the machine, its load (1-minute average when the row was done; 0 where the
@@ -47,14 +48,12 @@ def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
     """Return per cloud, M and library: CPU ms of forward (points, diagrams, loss) and backward, how many times ours, for the
     forward alone and for both, and whether the ten longest bars and the gradient are ours (largest difference; "same" up to
     1e-12)."""
+    names = stored["library"]
     return pd.DataFrame(
         {
             "cloud": stored["cloud"],
             "M": stored["M"],
-            "library": [
-                name if name == OURS else f"{name} {version}"
-                for name, version in zip(stored["library"], stored["version"], strict=True)
-            ],
+            "library": names.where(names == OURS, names + " " + stored["version"]),
             "forward ms": stored["forward_ms"].round(0),
             "backward ms": stored["backward_ms"].round(0),
             "forward / ours": stored["forward_ratio"].round(1),

@@ -1,4 +1,5 @@
-"""Figures shared by the reports. Each function returns a closed matplotlib Figure: shown once, wherever it is displayed."""
+"""Figures shared by the reports. Each function returns a closed matplotlib Figure: shown once, wherever it
+is displayed."""
 
 from __future__ import annotations
 
@@ -10,24 +11,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from paper_artifact.catalogue import colour_of, in_order
+
 DPI = 90
-# One colour per condition in every figure: grey baseline, blue loss and its variants, red controls.
-COLOURS = {
-    "C0": "#555555",
-    "C1": "#1f5fbf",
-    "C2": "#c0392b",
-    "C2g": "#e59866",
-    "C3": "#2e9cca",
-    "C4": "#7d5ba6",
-    "C5": "#1e8449",
-    "C6": "#b7950b",
-    "C7": "#6fa8dc",
-    "C7h": "#a9cce3",
-}
 
 
 def new_figure(rows: int, columns: int, width: float, height: float, **options) -> tuple[Figure, np.ndarray]:
-    """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes in inches."""
+    """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes
+    in inches."""
     figure, axes = plt.subplots(
         rows,
         columns,
@@ -42,20 +33,45 @@ def new_figure(rows: int, columns: int, width: float, height: float, **options) 
 
 
 def image_rows(rows: Sequence[tuple[str, Sequence[np.ndarray]]], size: float = 1.5) -> Figure:
-    """Return a figure with one labelled row per entry: images (H,W,3) float in [0,1], all rows of equal length."""
+    """Return a figure with one labelled row per entry: images (H,W,3) float in [0,1], all rows of equal
+    length."""
     figure, axes = new_figure(len(rows), len(rows[0][1]), size, size)
     for (label, images), line in zip(rows, axes, strict=True):
         for image, axis in zip(images, line, strict=True):
-            axis.imshow(np.clip(image, 0, 1), interpolation="nearest")
-            axis.set(xticks=[], yticks=[])
-            for side in axis.spines.values():
-                side.set_visible(False)
+            image_axis(axis, image)
         line[0].set_ylabel(label, fontsize=8)
     return figure
 
 
+def image_axis(axis: Axes, image: np.ndarray, title: str = "") -> None:
+    """Show one image (H,W,3), float in [0,1], without ticks and frame."""
+    axis.imshow(np.clip(image, 0, 1), interpolation="nearest")
+    axis.set(xticks=[], yticks=[])
+    axis.set_title(title, fontsize=8)
+    for side in axis.spines.values():
+        side.set_visible(False)
+
+
+def label_axis(axis: Axes, title: str, x: str = "", grid: bool = False) -> None:
+    """Write an axes' title and what its horizontal axis shows, with the small ticks of every figure, over
+    a light grid or none."""
+    axis.set_title(title, fontsize=9)
+    axis.set_xlabel(x)
+    axis.tick_params(labelsize=7)
+    if grid:
+        axis.grid(alpha=0.25)
+
+
+def draw_bands(axis: Axes, table: pd.DataFrame, value: str) -> None:
+    """Draw one band per condition of `table` in the catalogue's order and colours; columns as for
+    `draw_band`, and "condition"."""
+    for condition in in_order(table["condition"].unique()):
+        draw_band(axis, table[table["condition"] == condition], value, condition, colour_of(condition))
+
+
 def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: str) -> None:
-    """Draw the seeds' mean of `value` over "step" as a line and their range as a band; `table` has "seed", "step" and `value`."""
+    """Draw the seeds' mean of `value` over "step" as a line and their range as a band; `table` has "seed",
+    "step" and `value`."""
     group = table.groupby("step")[value]
     mean = group.mean()
     axis.plot(mean.index, mean, color=colour, label=label, linewidth=1.4)
@@ -70,8 +86,8 @@ def draw_diagram(
     target: np.ndarray | None = None,
     title: str = "",
 ) -> None:
-    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large
-    dots), and the target's bars as stars."""
+    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars
+    above that, as large dots), and the target's bars as stars."""
     margin = 0.04 * limit
     axis.plot([0, limit], [0, limit], color="black", linewidth=0.7)
     axis.plot([0, limit], [floor, limit + floor], color="black", linewidth=0.6, linestyle=":")
