@@ -6,11 +6,12 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, load_mesh
 from paper_artifact.scene.fetch import mesh_path
 from paper_artifact.scene.shapes import SHAPES, make_shape
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.sources import TABLE, sources
 
 POT = "pot"  # the ingested shell of the procedural hot pot, in the role of the paper's pot
 
@@ -29,7 +30,8 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         from paper_artifact.ingest.hot_pot import pot_solid
 
         return replace(pot_solid().shell, name=shape)
-    if shape in sources():
+    # Without a checkout there is no table; the study's own names are worth its error, others may be files.
+    if (TABLE.is_file() or shape_row(shape)) and shape in sources():
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
     if Path(shape).suffix or Path(shape).is_file():
         return load_mesh(Path(shape), welded=welded)

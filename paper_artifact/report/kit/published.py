@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS
+from paper_artifact.files import REPOSITORY
 
-PUBLISHED = RESULTS / "published"
+PUBLISHED = REPOSITORY / "results" / "published"  # also where runs are written elsewhere
 NUMBERS = ("dimension", "value", "sd", "seeds", "seed", "samples", "genus")
 
 
@@ -37,4 +37,5 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
                 frame["printed"] = frame["value"]
             frame = frame.assign(**{name: pd.to_numeric(frame[name]) for name in NUMBERS if name in frame})
             return frame.astype({name: float for name in ("value", "sd") if name in frame})
-    raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
+    known = ", ".join(tables(folder)) or f"none, since {folder} holds none: work in a checkout of the repository"
+    raise InputError(f"the paper has no table '{table}' here; known: {known}")
