@@ -1,6 +1,8 @@
-"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them: the stored measurement and its table.
+"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them: the stored measurement
+and its table.
 
-Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file and needs no peer.
+Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file
+and needs no peer.
 """
 
 from __future__ import annotations
@@ -22,10 +24,11 @@ ROUNDING = 1e-12  # a difference up to it is none
 def measure_peers(
     sizes: Sequence[int] = SIZES, repetitions: int = 7, progress: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
-    """Return the rows of `bench.peers.peer_rows` with the machine, its load (1-minute average when the row was done; 0 where the
-    system has none) and the versions; five minutes of CPU.
+    """Return the rows of `bench.peers.peer_rows` with the machine, its load (1-minute average when the row
+    was done; 0 where the system has none) and the versions; five minutes of CPU.
 
-    Raises InputError, with the line that installs it, when a peer is missing: a stored table must not lose one unnoticed.
+    Raises InputError, with the line that installs it, when a peer is missing: a stored table must not lose
+    one unnoticed.
     """
     missing = [line for line in map(why_missing, PEERS) if line]
     if missing:
@@ -45,9 +48,9 @@ def measure_peers(
 
 
 def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return per cloud, M and library: CPU ms of forward (points, diagrams, loss) and backward, how many times ours, for the
-    forward alone and for both, and whether the ten longest bars and the gradient are ours (largest difference; "same" up to
-    1e-12)."""
+    """Return per cloud, M and library: CPU ms of forward (points, diagrams, loss) and backward, how many
+    times ours, for the forward alone and for both, and whether the ten longest bars and the gradient are ours
+    (largest difference; "same" up to 1e-12)."""
     names = stored["library"]
     return pd.DataFrame(
         {
