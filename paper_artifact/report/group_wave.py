@@ -87,16 +87,12 @@ def quoted_bars() -> pd.DataFrame:
     for row in pd.concat([published("S11"), published("S13")]).to_dict("records"):
         if row["quantity"] not in KINDS:
             continue
-        known = {name: value for name, value in row.items() if not pd.isna(value)}
-        default = shape_row(row["shape"])
-        dimension = known["dimension"] if "dimension" in known else default.judged
-        samples = known["samples"] if "samples" in known else default.samples
-        bar = {
-            "samples": int(samples),
-            "bar": noted_bar(row["note"], int(dimension)),
-            "kind": KINDS[row["quantity"]],
-        }
-        rows.append({name: row[name] for name in ("shape", "value", "printed")} | bar)
+        shape = shape_row(row["shape"])
+        known = {} if shape is None else {"dimension": shape.judged, "samples": shape.samples}
+        known |= {name: value for name, value in row.items() if not pd.isna(value)}
+        bar = noted_bar(row["note"], int(known["dimension"]))
+        keys = {"samples": int(known["samples"]), "bar": bar, "kind": KINDS[row["quantity"]]}
+        rows.append({name: row[name] for name in ("shape", "value", "printed")} | keys)
     return pd.DataFrame(rows).drop_duplicates([*BAR, "kind"])
 
 
