@@ -1,7 +1,7 @@
 """Where a photometric step is computed: the numba kernels on the CPU, or the plain-torch twin on a GPU.
 
-Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the
-loss.
+Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's
+tensors, return the loss.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ class CpuBackend:
     to_host = to_device
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
-        """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw key each."""
+        """Set the soup's gradients to the batch's and return the loss.
+
+        views: indices of the scene's views (B,), with one draw key (`draws.view_key`) each.
+        """
         drawn = soup.drawn()
         cameras = [self._cameras[int(view)] for view in views]
         targets = [self._targets[int(view)] for view in views]
@@ -64,7 +67,8 @@ class TwinBackend:
             tensor.detach().to(device, dtype).clone()
             for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
         ]
-        return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        vertices, features, opacity, *mlp = tensors
+        return Soup(vertices, features, opacity, tuple(mlp)).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -99,7 +103,10 @@ def check_device(device: str) -> None:
 
 
 def backend_for(device: str, scene: Scene, views: np.ndarray) -> CpuBackend | TwinBackend:
-    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
+    """Return the backend for "cpu", "cuda" or "auto" (cuda if there is one).
+
+    Raises InputError as `check_device` does.
+    """
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
         return CpuBackend(scene, views)
