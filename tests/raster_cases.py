@@ -27,7 +27,7 @@ def look_at(
 
 
 def front_camera(distance: float = 4.0, focal: float = 1.8) -> torch.Tensor:
-    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance along +z: image x, y are world x, y."""
+    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance along +z, image x, y as world."""
     near, far = 0.5, 10.0
     matrix = torch.diag(torch.tensor([focal, focal, (far + near) / (far - near), 0.0], dtype=torch.float64))
     matrix[2, 3] = distance * (far + near) / (far - near) - 2 * far * near / (far - near)

@@ -132,14 +132,14 @@ def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
     for index, name in enumerate(NAMES):
         if name in ("vertices", "opacity"):  # what is seen jumps with them: see the tests below
             continue
-        for _ in range(3):
-            direction = torch.from_numpy(draws.normal(size=values[index].shape))
+        gradient = torch.from_numpy(gradients.flat()[index]).double()
+        others = [torch.from_numpy(draws.normal(size=gradient.shape)) for _ in range(2)]
+        for direction in (gradient / gradient.norm(), *others):
             losses = []
             for shift in (1e-6, -1e-6):
                 moved = [*values[:index], values[index] + shift * direction, *values[index + 1 :]]
                 losses.append(case.twin_loss(moved, raster)[0].item())
             difference = (losses[0] - losses[1]) / 2e-6
-            gradient = torch.from_numpy(gradients.flat()[index]).double()
             scale = float(gradient.norm() * direction.norm())
             assert float((gradient * direction).sum()) == pytest.approx(difference, abs=1e-4 * scale), name
 
@@ -235,6 +235,7 @@ def test_opacity_gradients_are_on_average_the_finite_differences_of_the_expected
         expected[index] = (expected_error(base + shift) - expected_error(base - shift)) / 2e-4
     assert np.abs(expected).max() > 10 * error.max()
     assert (np.abs(value - expected) <= 5 * error + 1e-9).all()
+    assert (value * expected).sum() / (expected**2).sum() == pytest.approx(1, abs=0.06)
 
 
 def test_a_step_is_its_stages_one_after_another(case):
