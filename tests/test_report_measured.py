@@ -67,7 +67,7 @@ def test_bars_are_the_staircase_s_lifetimes():
     np.testing.assert_allclose(chosen["margin"], own["h1_2"] / own["floor"])
     significant_bars = found[found["margin"] > 1].groupby(kit.KEYS).size()
     values = kit.significant_counts(stored).groupby(kit.KEYS)["value"].sum() - 1  # without the infinite bar
-    assert significant_bars.to_dict() == values.to_dict()
+    assert significant_bars.to_dict() == values[values > 0].to_dict()
 
 
 def test_windows():
@@ -78,13 +78,11 @@ def test_windows():
     assert table.loc["torus", "paper's IN"] == "1.33" and "loop 2" in table.loc["torus", "tightest IN"]
     assert table.loc["cube", "largest OUT"] == "—" and "loop 1" in table.loc["bowl_wide", "largest OUT"]
     window = windows.global_window(margins)
-    assert (
-        window.loc["paper", ["k from", "k to"]].tolist() == ["5.12", "6.77"]
-        and (window["k from"] < 6).all()
-        and (window["k to"] > 6).all()
-    )
+    assert window.loc["paper", ["k from", "k to"]].tolist() == ["5.12", "6.77"]
+    ends = window[["k from", "k to"]].astype(float)
+    assert (ends["k from"] < 6).all() and (ends["k to"] > 6).all()
     low = 6 * torus[~torus["inside"]]["margin"].max()
-    assert window.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
+    assert ends.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
     assert windows.window_figure(margins).axes
 
 
