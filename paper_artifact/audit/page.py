@@ -16,7 +16,7 @@ from paper_artifact.audit.view import light_mesh
 from paper_artifact.certify.text import certificate_text
 from paper_artifact.export.triangles import mesh_triangles
 from paper_artifact.export.viewer import html_page
-from paper_artifact.report.figures import draw_diagram, new_figure
+from paper_artifact.report.kit.figures import draw_diagram, new_figure
 
 STYLE = """body{font:15px/1.45 system-ui,sans-serif;max-width:1060px;margin:1.5em auto;padding:0 1em;color:#222}
 h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.1em;margin:1.4em 0 .4em}table{border-collapse:collapse;font-variant-numeric:tabular-nums}

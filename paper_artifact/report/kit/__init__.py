@@ -1,1 +1,2 @@
-"""What the reports share: records and frames of them, wording, figures, pictures of surfaces; no notebook's own tables."""
+"""What the reports share: records and frames of them, wording, figures, pictures of surfaces; no
+notebook's own tables."""

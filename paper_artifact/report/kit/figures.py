@@ -1,4 +1,5 @@
-"""Figures shared by the reports. Each function returns a closed matplotlib Figure: shown once, wherever it is displayed."""
+"""Figures shared by the reports. Each function returns a closed matplotlib Figure: shown once, wherever it
+is displayed."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ DPI = 90
 
 
 def new_figure(rows: int, columns: int, width: float, height: float, **options) -> tuple[Figure, np.ndarray]:
-    """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes in inches."""
+    """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes
+    in inches."""
     figure, axes = plt.subplots(
         rows,
         columns,
@@ -31,7 +33,8 @@ def new_figure(rows: int, columns: int, width: float, height: float, **options) 
 
 
 def image_rows(rows: Sequence[tuple[str, Sequence[np.ndarray]]], size: float = 1.5) -> Figure:
-    """Return a figure with one labelled row per entry: images (H,W,3) float in [0,1], all rows of equal length."""
+    """Return a figure with one labelled row per entry: images (H,W,3) float in [0,1], all rows of equal
+    length."""
     figure, axes = new_figure(len(rows), len(rows[0][1]), size, size)
     for (label, images), line in zip(rows, axes, strict=True):
         for image, axis in zip(images, line, strict=True):
@@ -50,7 +53,8 @@ def image_axis(axis: Axes, image: np.ndarray, title: str = "") -> None:
 
 
 def label_axis(axis: Axes, title: str, x: str = "", grid: bool = False) -> None:
-    """Write an axes' title and what its horizontal axis shows, with the small ticks of every figure, over a light grid or none."""
+    """Write an axes' title and what its horizontal axis shows, with the small ticks of every figure, over
+    a light grid or none."""
     axis.set_title(title, fontsize=9)
     axis.set_xlabel(x)
     axis.tick_params(labelsize=7)
@@ -59,13 +63,15 @@ def label_axis(axis: Axes, title: str, x: str = "", grid: bool = False) -> None:
 
 
 def draw_bands(axis: Axes, table: pd.DataFrame, value: str) -> None:
-    """Draw one band per condition of `table` in the catalogue's order and colours; columns as for `draw_band`, and "condition"."""
+    """Draw one band per condition of `table` in the catalogue's order and colours; columns as for
+    `draw_band`, and "condition"."""
     for condition in in_order(table["condition"].unique()):
         draw_band(axis, table[table["condition"] == condition], value, condition, colour_of(condition))
 
 
 def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: str) -> None:
-    """Draw the seeds' mean of `value` over "step" as a line and their range as a band; `table` has "seed", "step" and `value`."""
+    """Draw the seeds' mean of `value` over "step" as a line and their range as a band; `table` has "seed",
+    "step" and `value`."""
     group = table.groupby("step")[value]
     mean = group.mean()
     axis.plot(mean.index, mean, color=colour, label=label, linewidth=1.4)
@@ -80,8 +86,8 @@ def draw_diagram(
     target: np.ndarray | None = None,
     title: str = "",
 ) -> None:
-    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars above that, as large
-    dots), and the target's bars as stars."""
+    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars
+    above that, as large dots), and the target's bars as stars."""
     margin = 0.04 * limit
     axis.plot([0, limit], [0, limit], color="black", linewidth=0.7)
     axis.plot([0, limit], [floor, limit + floor], color="black", linewidth=0.6, linestyle=":")

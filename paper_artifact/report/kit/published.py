@@ -14,7 +14,8 @@ NUMBERS = ("dimension", "value", "sd", "seeds", "seed", "samples", "genus")
 
 
 def tables(folder: Path | str = PUBLISHED) -> list[str]:
-    """Return the names that `published` takes: "1", "2", "S1" … "S13" (tables), "noise", "cost", … (numbers in the text)."""
+    """Return the names that `published` takes: "1", "2", "S1" … "S13" (tables), "noise", "cost", …
+    (numbers in the text)."""
     names = [path.stem.split("_", 1)[1] for path in Path(folder).glob("t*_*.csv")]
     numbered = [name for name in names if name.lstrip("S").isdigit()]
     numbered.sort(key=lambda name: (name[0] == "S", int(name.lstrip("S"))))
@@ -22,9 +23,11 @@ def tables(folder: Path | str = PUBLISHED) -> list[str]:
 
 
 def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
-    """Return one table of the paper ("1", "S7", "noise", ...): numbers NaN, texts "" where the paper has none.
+    """Return one table of the paper ("1", "S7", "noise", ...): numbers NaN, texts "" where the paper has
+    none.
 
-    Column "printed" is the value as the paper prints it, a text. Raises InputError for a name that is no table.
+    Column "printed" is the value as the paper prints it, a text. Raises InputError for a name that is no
+    table.
     """
     for kind in ("table", "text"):
         path = Path(folder) / f"{kind}_{table}.csv"
@@ -35,27 +38,3 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
             frame = frame.assign(**{name: pd.to_numeric(frame[name]) for name in NUMBERS if name in frame})
             return frame.astype({name: float for name in ("value", "sd") if name in frame})
     raise InputError(f"the paper has no table '{table}' here; known: {', '.join(tables(folder))}")
-
-
-def published_value(
-    table: str, *, quantity: str = "tail_bottleneck", **columns: str | int
-) -> tuple[float, float]:
-    """Return (value, sd) of the one row of `table` with this quantity and these columns; sd is NaN where none is printed.
-
-    published_value("1", shape="sphere", condition="C0") is its mean and sd. Raises InputError unless exactly one row fits.
-    """
-    frame = published(table)
-    unknown = [name for name in columns if name not in frame]
-    if unknown:
-        raise InputError(
-            f"table {table} has no column {', '.join(unknown)}; it has {', '.join(frame.columns)}"
-        )
-    chosen = frame["quantity"] == quantity
-    for name, wanted in columns.items():
-        chosen &= frame[name] == wanted
-    if chosen.sum() != 1:
-        raise InputError(
-            f"{int(chosen.sum())} rows of table {table} have {quantity} and {columns}; name exactly one"
-        )
-    row = frame[chosen].iloc[0]
-    return float(row["value"]), float(row["sd"])

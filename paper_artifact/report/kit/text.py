@@ -21,7 +21,8 @@ def span(values: Iterable[float], digits: int) -> str:
 
 
 def arm_text(mean: float, sd: float | None = None, ratio: float | str | None = None) -> str:
-    """Return ".0156±.0013 (4.0×)" without the parts that are None, NaN or ""; a ratio that is a text is printed as it is."""
+    """Return ".0156±.0013 (4.0×)" without the parts that are None, NaN or ""; a ratio that is a text is
+    printed as it is."""
     text = short(mean) + ("" if pd.isna(sd) else f"±{short(sd)}")
     if ratio == "" or pd.isna(ratio):
         return text
@@ -43,6 +44,6 @@ def seeds_text(seeds: Iterable[int] | None) -> str:
     return "unknown" if seeds is None else ", ".join(map(str, seeds)) or "none"
 
 
-def signature_text(counts: Iterable[int]) -> str:
-    """Return counts in the dimensions 0, 1, 2 as "(1,0,1)"."""
-    return f"({','.join(map(str, counts))})"
+def blank(table: pd.DataFrame | pd.Series) -> pd.DataFrame | pd.Series:
+    """Return the table or column with "" where it holds None or NaN."""
+    return table.astype(object).where(table.notna(), "")

@@ -1,3 +1,0 @@
-"""Old name of `report.kit.figures`, until every caller has moved."""
-
-from paper_artifact.report.kit.figures import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""Old name of `report.kit.render`, until every caller has moved."""
-
-from paper_artifact.report.kit.render import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""Old name of `report.kit.records`, until every caller has moved."""
-
-from paper_artifact.report.kit.records import *  # noqa: F403
