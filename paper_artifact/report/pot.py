@@ -1,4 +1,4 @@
-"""Notebook 11: the procedural hot pot in the role of the paper's pot, and the teapot (Tables S4, S5, Fig. S7).
+"""Notebook 11: the procedural hot pot for the paper's pot, and the teapot (Tables S4, S5, Fig. S7).
 
 Units as in `report.kit.staircase`.
 """

@@ -61,7 +61,7 @@ def staircases(
 
 
 def bars(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per bar: shape, samples, seed, floor, law, dimension, bar ("loop 2"), lifetime, margin."""
+    """Return a row per bar: shape, samples, seed, floor, law, dimension, bar ("loop 2"), lifetime, margin."""
     columns = table.filter(regex=r"^h\d_\d+$").columns
     long = table.melt(table.columns.drop(columns), columns, "bar", "lifetime", ignore_index=False)
     long = long.sort_index(kind="stable")[lambda each: each["lifetime"] > 0].reset_index(drop=True)
