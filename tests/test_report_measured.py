@@ -1,4 +1,4 @@
-"""Notebooks 03, 04 and 07: staircases, floor windows and costs on small measurements, and the stored measurements."""
+"""Notebooks 03, 04, 07: staircases, floor windows, costs on small measurements; what is stored."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def test_stored_staircase_matches_what_the_code_measures():
     assert len(stored) == 8 * 6 * 5
     lines, difference = kit.agreement(stored, kit.staircases(("cube", "bowl_wide"), (512,), (3,)))
     assert lines == 2 and difference < 1e-4
-    figure = staircase.floor_figure(stored, {"torus": (1, (1, 2), "loop")})
+    figure = staircase.floor_figure(stored, {"torus": ("loop 1", "loop 2")})
     assert len(figure.axes[0].lines) == 4
-    crossing = staircase.crossing_table(stored, {"torus": (1, (1, 2), "loop")})["clears the floor from M ≈"]
+    crossing = staircase.crossing_table(stored, {"torus": ("loop 1", "loop 2")})["clears the floor from M ≈"]
     assert crossing.tolist()[0] == "≤ 512" and 1024 < int(crossing.iloc[1]) < 2048
 
 
@@ -61,7 +61,7 @@ def test_bars_are_the_staircase_s_lifetimes():
     stored = measured.read("staircase")
     found = kit.bars(stored)
     assert len(found) == (stored.filter(regex=r"^h\d_\d$") > 0).to_numpy().sum()
-    chosen = found[(found["shape"] == "torus") & (found["dimension"] == 1) & (found["rank"] == 2)]
+    chosen = found[(found["shape"] == "torus") & (found["bar"] == "loop 2")]
     own = stored[stored["shape"] == "torus"]
     assert chosen["lifetime"].tolist() == own["h1_2"].tolist()
     np.testing.assert_allclose(chosen["margin"], own["h1_2"] / own["floor"])
@@ -87,7 +87,7 @@ def test_windows():
 
 
 def test_the_window_s_shapes_are_the_catalogue_s():
-    """Table S13 has every shape that the study bundles: all but the cylinder, which only the allocation study trains."""
+    """Table S13 has every shape that the study bundles: all but the cylinder, of the allocation study."""
     rows = set(published("S13")["shape"]) - {"all"}
     assert rows == {each.name for each in SHAPES if each.group != "allocation"}
 

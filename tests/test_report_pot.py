@@ -12,7 +12,7 @@ from paper_artifact.ingest.hot_pot import pot_solid, raw_pot
 from paper_artifact.report import pot as report
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
-from paper_artifact.report.kit.staircase import DENSITIES
+from paper_artifact.report.kit.staircase import DENSITIES, staircase
 from paper_artifact.scene.shapes import make_shape
 from tests import report_records
 
@@ -24,7 +24,7 @@ def solid():
 
 @pytest.fixture(scope="module")
 def stairs(solid):
-    return report.staircases(solid.shell, (0, 1))
+    return staircase(solid.shell, DENSITIES, (0, 1))
 
 
 def records(**tails):
@@ -51,7 +51,7 @@ def test_the_inventory_stands_beside_the_paper_s(solid, stairs, tmp_path, monkey
 def test_the_staircase_is_the_paper_s(solid, stairs):
     table = report.table_s5(stairs)
     assert (table["paper's pot"] == table["stand-in"]).all() and list(table.index) == list(DENSITIES)
-    margin = {samples: report.bar_values(stairs, samples, 2)["margin"] for samples in (4096, 8192)}
+    margin = {samples: report.bar_values(stairs, samples, "void 1")["margin"] for samples in (4096, 8192)}
     assert margin[8192].min() > 1 > margin[4096].max()
     voids = report.void_table(solid.shell, seeds=(0, 1))
     own = stairs[(stairs["samples"] == 8192) & (stairs["seed"] == 0)]
