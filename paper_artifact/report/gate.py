@@ -1,6 +1,4 @@
-"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of the clouds of `study.repair`,
-beside the paper.
-"""
+"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of defective clouds."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Notebook 03: which bars of a clean surface clear the measurement floor 6·r_med(M) at which density (Table
-S3, Fig. S10).
+"""Notebook 03: which bars of clean surfaces clear the floor 6·r_med(M), by density (Table S3, Fig. S10).
 
 Notebook 01 follows spot's second void by `second_void_table`. Units as in `report.kit.staircase`.
 """
