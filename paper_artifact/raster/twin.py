@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster.twin_visibility import Raster, corner_weights, pixel_centres, rasterize, to_clip
+from paper_artifact.ssim import WINDOW, gaussian_window, similarity
 
 __all__ = [
     "Raster",
@@ -27,8 +28,6 @@ __all__ = [
     "view_directions",
 ]
 
-_WINDOW, _SIGMA = 11, 1.5  # SSIM's Gaussian window: taps and standard deviation, pixels
-_C1, _C2 = 0.01**2, 0.03**2  # SSIM's stabilisers at data range 1
 _FLOOR = 1e-5  # of a chance that the opacity gradient divides by
 
 MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
@@ -290,27 +289,19 @@ def _vertex_gradient(
 def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the scalar .8·mean|target - colour| + .2·½(1 - SSIM) of images (B,3,H,W) in [0, 1].
 
-    SSIM after Wang et al. 2004: 11×11 Gaussian window with σ = 1.5, data range 1, K = (.01, .03), only
-    windows that lie in the image, mean over windows, channels and views. Raises InputError when the shapes
-    differ or the image is below 11×11.
+    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when the
+    shapes differ or a side of the images is shorter than SSIM's window.
     """
-    if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < _WINDOW:
+    if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < WINDOW:
         raise InputError(
-            f"colour and target must be (B,3,H,W) of equal shape with H, W >= 11, got {tuple(colour.shape)} "
-            f"and {tuple(target.shape)}"
+            f"colour and target must be (B,3,H,W) of equal shape with H, W >= {WINDOW}, got "
+            f"{tuple(colour.shape)} and {tuple(target.shape)}"
         )
-    offsets = torch.arange(_WINDOW, dtype=colour.dtype, device=colour.device) - _WINDOW // 2
-    window = torch.exp(-(offsets**2) / (2 * _SIGMA**2))
-    window = window / window.sum()
+    window = torch.tensor(gaussian_window(), dtype=colour.dtype, device=colour.device)
 
     def blur(image: torch.Tensor) -> torch.Tensor:
-        plane = functional.conv2d(image.reshape(-1, 1, *image.shape[2:]), window.reshape(1, 1, _WINDOW, 1))
-        return functional.conv2d(plane, window.reshape(1, 1, 1, _WINDOW))
+        plane = functional.conv2d(image.reshape(-1, 1, *image.shape[2:]), window.reshape(1, 1, WINDOW, 1))
+        return functional.conv2d(plane, window.reshape(1, 1, 1, WINDOW))
 
-    mean_c, mean_t = blur(colour), blur(target)
-    variance_c = blur(colour * colour) - mean_c**2
-    variance_t = blur(target * target) - mean_t**2
-    covariance = blur(colour * target) - mean_c * mean_t
-    luminance = (2 * mean_c * mean_t + _C1) / (mean_c**2 + mean_t**2 + _C1)
-    structure = (2 * covariance + _C2) / (variance_c + variance_t + _C2)
-    return 0.8 * (target - colour).abs().mean() + 0.2 * (1 - (luminance * structure).mean()) / 2
+    dissimilarity = 1 - similarity(colour, target, blur).mean()
+    return 0.8 * (target - colour).abs().mean() + 0.2 * dissimilarity / 2

@@ -14,7 +14,7 @@ from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.step import PhotometricStep
 from paper_artifact.raster.view import make_camera
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, soup_of
 
 
 class CpuBackend:
@@ -63,12 +63,8 @@ class TwinBackend:
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [
-            tensor.detach().to(device, dtype).clone()
-            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        ]
-        vertices, features, opacity, *mlp = tensors
-        return Soup(vertices, features, opacity, tuple(mlp)).trainable()
+        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in tensors]).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -85,13 +81,17 @@ class TwinBackend:
         target = self._targets[[self._row[int(view)] for view in views]]
         matrices = self._matrices[torch.as_tensor(views, device=self._device)]
         opacity = torch.sigmoid(soup.opacity)
-        raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
+        height, width = target.shape[2:]
+        raster = twin.rasterize(soup.vertices, opacity, matrices, height, width, keys)
         colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, self._background)
         auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
         colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
         loss = twin.photometric_loss(colour, target)
         (loss + auxiliary).backward()
         return loss.item()
+
+
+Backend = CpuBackend | TwinBackend
 
 
 def check_device(device: str) -> None:
@@ -102,7 +102,7 @@ def check_device(device: str) -> None:
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray) -> CpuBackend | TwinBackend:
+def backend_for(device: str, scene: Scene, views: np.ndarray) -> Backend:
     """Return the backend for "cpu", "cuda" or "auto" (cuda if there is one).
 
     Raises InputError as `check_device` does.
