@@ -28,8 +28,6 @@ __all__ = [
     "view_directions",
 ]
 
-_WINDOW, _SIGMA = 11, 1.5  # SSIM's Gaussian window: taps and standard deviation, pixels
-_C1, _C2 = 0.01**2, 0.03**2  # SSIM's stabilisers at data range 1
 _FLOOR = 1e-5  # of a chance that the opacity gradient divides by
 
 MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
