@@ -75,3 +75,20 @@ def write_text(path: Path | str, text: str) -> None:
 def write_json(path: Path | str, value: Any) -> None:
     """Write `value` as JSON (sorted keys, no NaN) atomically. Raises InputError as `write_bytes` does."""
     write_text(path, json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+def load_npz(path: Path | str) -> dict[str, Any]:
+    """Return the arrays of the .npz file at `path` by name.
+
+    Raises OSError when the file cannot be read, ValueError when it is damaged, no archive, or holds pickles.
+    """
+    import numpy as np  # only here: this module is imported by verbs that need no numbers
+
+    try:
+        # Opened here, because numpy leaves the file open when it is no sound archive.
+        with open(path, "rb") as handle, np.load(handle) as stored:
+            return dict(stored)
+    except OSError:
+        raise
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds
+        raise ValueError(str(error) or type(error).__name__) from error

@@ -15,9 +15,9 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
 from paper_artifact.files import RESULTS
-from paper_artifact.mesh import Mesh
+from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
-from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
+from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.soup.render import render_views

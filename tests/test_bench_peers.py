@@ -1,4 +1,4 @@
-"""The benchmark beside other libraries, on small clouds with stand-ins for them: what it reports, never how long it took."""
+"""The benchmark beside other libraries, on small clouds with stand-ins: what it reports, never how long."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ def absent(monkeypatch):
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """Modules with the peers' calls: oineus.diff gives gudhi's pairs with squared circumradii by torch's own autograd,
-    torch-topological the longest edges of gudhi's pairs."""
+    """Modules with the peers' calls, on gudhi's pairs.
+
+    oineus.diff gives squared circumradii by torch's own autograd, torch-topological the longest edges.
+    """
     modules = {name: types.ModuleType(name) for name in NAMES}
     modules["oineus"].diff = modules["oineus.diff"]
     modules["oineus.diff"].alpha_filtration = lambda points: points

@@ -43,8 +43,9 @@ def test_the_counts_of_seed_0_are_the_paper_s(stored):
 
 
 def test_the_quoted_bars_are_found(stored):
-    notes = ("loop 4", "second H2 bar", "void", "loop 3; half is the pin .0249", "")
-    assert [group_wave.rank_of(note) for note in notes] == [4, 2, 1, 3, 1]
+    notes = {"loop 4": 1, "second H2 bar": 2, "void": 2, "loop 3; half is the pin .0249": 1, "": 1}
+    found = [group_wave.noted_bar(note, dimension) for note, dimension in notes.items()]
+    assert found == ["loop 4", "void 2", "void 1", "loop 3", "loop 1"]
     table = group_wave.quoted_table(stored)
     assert len(table) == 20 and list(
         table.index[table["paper in range"] == "no"].get_level_values("shape")

@@ -1,4 +1,4 @@
-"""Notebooks 03, 04 and 07: staircases, floor windows and costs on small measurements, and the stored measurements."""
+"""Notebooks 03, 04, 07: staircases, floor windows, costs on small measurements, and the stored measurements."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def test_stored_staircase_matches_what_the_code_measures():
     assert len(stored) == 8 * 6 * 5
     lines, difference = kit.agreement(stored, kit.staircases(("cube", "bowl_wide"), (512,), (3,)))
     assert lines == 2 and difference < 1e-4
-    figure = staircase.floor_figure(stored, {"torus": (1, (1, 2), "loop")})
+    figure = staircase.floor_figure(stored, {"torus": ("loop 1", "loop 2")})
     assert len(figure.axes[0].lines) == 4
-    crossing = staircase.crossing_table(stored, {"torus": (1, (1, 2), "loop")})["clears the floor from M ≈"]
+    crossing = staircase.crossing_table(stored, {"torus": ("loop 1", "loop 2")})["clears the floor from M ≈"]
     assert crossing.tolist()[0] == "≤ 512" and 1024 < int(crossing.iloc[1]) < 2048
 
 
@@ -61,13 +61,13 @@ def test_bars_are_the_staircase_s_lifetimes():
     stored = measured.read("staircase")
     found = kit.bars(stored)
     assert len(found) == (stored.filter(regex=r"^h\d_\d$") > 0).to_numpy().sum()
-    chosen = found[(found["shape"] == "torus") & (found["dimension"] == 1) & (found["rank"] == 2)]
+    chosen = found[(found["shape"] == "torus") & (found["bar"] == "loop 2")]
     own = stored[stored["shape"] == "torus"]
     assert chosen["lifetime"].tolist() == own["h1_2"].tolist()
     np.testing.assert_allclose(chosen["margin"], own["h1_2"] / own["floor"])
     significant_bars = found[found["margin"] > 1].groupby(kit.KEYS).size()
     values = kit.significant_counts(stored).groupby(kit.KEYS)["value"].sum() - 1  # without the infinite bar
-    assert significant_bars.to_dict() == values.to_dict()
+    assert significant_bars.to_dict() == values[values > 0].to_dict()
 
 
 def test_windows():
@@ -78,13 +78,11 @@ def test_windows():
     assert table.loc["torus", "paper's IN"] == "1.33" and "loop 2" in table.loc["torus", "tightest IN"]
     assert table.loc["cube", "largest OUT"] == "—" and "loop 1" in table.loc["bowl_wide", "largest OUT"]
     window = windows.global_window(margins)
-    assert (
-        window.loc["paper", ["k from", "k to"]].tolist() == ["5.12", "6.77"]
-        and (window["k from"] < 6).all()
-        and (window["k to"] > 6).all()
-    )
+    assert window.loc["paper", ["k from", "k to"]].tolist() == ["5.12", "6.77"]
+    ends = window[["k from", "k to"]].astype(float)
+    assert (ends["k from"] < 6).all() and (ends["k to"] > 6).all()
     low = 6 * torus[~torus["inside"]]["margin"].max()
-    assert window.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
+    assert ends.loc["ours, seed 0", "k from"] == pytest.approx(low, abs=0.006)  # rounded to two digits
     assert windows.window_figure(margins).axes
 
 

@@ -5,8 +5,8 @@ Each verb is a module `paper_artifact/cli/<verb>.py` with
     add_arguments(parser: argparse.ArgumentParser) -> None
     run(arguments: argparse.Namespace) -> int            # the exit code
 
-and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither torch
-nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
+and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither
+torch nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
 
 Exit codes: 0 done; 1 failed (InputError: one line on stderr, no trace; Ctrl-C likewise); 2 wrong usage.
 """

@@ -1,4 +1,6 @@
-"""`python -m paper_artifact measure NAME`: make a measurement that the notebooks read from `results/measured/`."""
+"""`python -m paper_artifact measure NAME`: make a measurement that the notebooks read from
+`results/measured/`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from paper_artifact.report.measured import MEASURED, MEASUREMENTS, write
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    summaries = "; ".join(f"{name}: {each.summary}" for name, each in MEASUREMENTS.items())
+    summaries = "; ".join(f"{name}: {summary}" for name, (_, summary) in MEASUREMENTS.items())
     parser.add_argument("name", choices=tuple(MEASUREMENTS), help=summaries)
     parser.add_argument(
         "--out",

@@ -14,9 +14,10 @@ from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.evaluate.image import image_scores
+from paper_artifact.export.figures import new_figure
 from paper_artifact.pipeline import prepare_scene, run
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_band, image_rows, label_axis, new_figure
+from paper_artifact.report.kit.figures import draw_band, image_rows, label_axis
 from paper_artifact.report.kit.records import RETRAINED, Collected, key, soup_path
 from paper_artifact.report.kit.text import blank
 from paper_artifact.scene.find import find_mesh

@@ -1,8 +1,8 @@
-"""Notebook 07: what the persistence step costs (App. H, "Cost scaling"): time against M beside gudhi and the paper, its share of
-a run, memory.
+"""Notebook 07: what the persistence step costs (App. H, "Cost scaling"): time against M beside gudhi and the
+paper, its share of a run, memory.
 
-Times are CPU milliseconds of one process; each ratio is of two times taken in turns within that process. A stored table names the
-machine.
+Times are CPU milliseconds of one process; each ratio is of two times taken in turns within that process. A
+stored table names the machine.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from paper_artifact.bench.persistence import CLOUDS as DRAWN
 from paper_artifact.bench.persistence import growth_exponent, persistence_rows
 from paper_artifact.catalogue import BASELINE, LOSS
+from paper_artifact.export.figures import new_figure
 from paper_artifact.record.environment import host, packages
-from paper_artifact.report.kit.figures import new_figure
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.sampling import sample_surface
@@ -28,7 +28,8 @@ STAGES = ("delaunay", "filtration", "reduction", "pairs")
 
 
 def study_torus(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Return `count` area-weighted samples (count,3) of the study's torus mesh, world units, as targets and bundles have them."""
+    """Return `count` area-weighted samples (count,3) of the study's torus mesh, world units, as targets and
+    bundles have them."""
     mesh = surface("torus")
     return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
 
@@ -43,8 +44,8 @@ CLOUDS = {  # cloud: what it is, and how it is drawn (None: bench.persistence ha
 def measure_cost(
     sizes: Sequence[int] = SIZES, repetitions: int = 5, progress: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
-    """Return one row per cloud and M (see `bench.persistence.persistence_rows`), with this machine's CPU and the versions; about
-    three minutes of CPU."""
+    """Return one row per cloud and M (see `bench.persistence.persistence_rows`), with this machine's CPU and
+    the versions; about three minutes of CPU."""
     rows = []
     for cloud, (_, draw) in CLOUDS.items():
         for size in sizes:
@@ -58,7 +59,8 @@ def measure_cost(
 
 
 def now_table(sizes: Sequence[int] = (2048, 4096), repetitions: int = 3) -> pd.DataFrame:
-    """Return ours, gudhi and the ratio on the torus cloud, measured now on this machine: for a cell that is not compared."""
+    """Return ours, gudhi and the ratio on the torus cloud, measured now on this machine: for a cell that is
+    not compared."""
     table = pd.DataFrame(persistence_rows(tuple(sizes), repetitions, "torus", study_torus)).set_index("M")
     return table[["fast_ms", "gudhi_ms", "ratio"]].round(1)
 
@@ -76,9 +78,9 @@ def torus_rows(stored: pd.DataFrame) -> pd.DataFrame:
 
 
 def persistence_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return time per persistence step against M, torus cloud: ours, gudhi `safe` in the same process, their ratio, and the
-    paper's (gudhi on its machine); then the largest M's time over the smallest's, and the growth exponent p of time ~ M^p
-    between them."""
+    """Return time per persistence step against M, torus cloud: ours, gudhi `safe` in the same process, their
+    ratio, and the paper's (gudhi on its machine); then the largest M's time over the smallest's, and the
+    growth exponent p of time ~ M^p between them."""
     paper, own = published("cost").set_index("quantity"), torus_rows(stored)
     printed = paper.loc["persistence_ms"].set_index("samples")["printed"]
     table = pd.DataFrame(
@@ -102,8 +104,9 @@ def persistence_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 
 def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return per cloud the exponents p of ours ~ M^p and gudhi's ~ M^p from the smallest to the largest M, and that of the number
-    of Delaunay tetrahedra: what no method that builds them can fall below; ratios at both ends."""
+    """Return per cloud the exponents p of ours ~ M^p and gudhi's ~ M^p from the smallest to the largest M,
+    and that of the number of Delaunay tetrahedra: what no method that builds them can fall below; ratios at
+    both ends."""
     rows = {}
     for cloud, group in stored.groupby("cloud", sort=False):
         lines = group.to_dict("records")
@@ -120,8 +123,8 @@ def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 
 def stage_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return milliseconds per stage and M, torus cloud, ours and gudhi's (its simplex tree is built within its filtration
-    stage)."""
+    """Return milliseconds per stage and M, torus cloud, ours and gudhi's (its simplex tree is built within
+    its filtration stage)."""
     columns = {}
     for row in torus_rows(stored).to_dict("records"):
         for name, key in (("ours", "fast"), ("gudhi", "gudhi")):
@@ -130,7 +133,8 @@ def stage_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 
 def cost_figure(stored: pd.DataFrame) -> Figure:
-    """Return time against M on logarithmic axes, torus cloud: ours, gudhi, the paper's figures, and a line of slope 1."""
+    """Return time against M on logarithmic axes, torus cloud: ours, gudhi, the paper's figures, and a line of
+    slope 1."""
     figure, axes = new_figure(1, 1, 4.6, 3.4)
     axis, own = axes[0][0], torus_rows(stored)
     paper = published("cost").set_index("quantity").loc["persistence_ms"]
@@ -151,10 +155,10 @@ def cost_figure(stored: pd.DataFrame) -> Figure:
 
 
 def share_table(collected: Collected) -> pd.DataFrame:
-    """Return per shape what the loss adds to training, from the recorded C1 runs: its stage's seconds, those over the photometric
-    training's in the same run (percent), its share of training, and CPU seconds and peak memory of whole runs (evaluation
-    included) under C0 and C1; beside the seconds that the paper prints. Means over seeds. Evaluation is the study's cost, not the
-    method's, and left out of the percentages."""
+    """Return per shape what the loss adds to training, from the recorded C1 runs: its stage's seconds, those
+    over the photometric training's in the same run (percent), its share of training, and CPU seconds and peak
+    memory of whole runs (evaluation included) under C0 and C1; beside the seconds that the paper prints.
+    Means over seeds. Evaluation is the study's cost, not the method's, and left out of the percentages."""
     rows = {}
     for shape in dict.fromkeys(record["config"]["shape"] for record in collected.records):
         arms = {condition: collected.of(shape, condition) for condition in (BASELINE, LOSS)}

@@ -1,4 +1,6 @@
-"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of the clouds of `study.repair`, beside the paper."""
+"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of the clouds of `study.repair`,
+beside the paper.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from paper_artifact.report.kit.figures import draw_cloud, label_axis, new_figure
+from paper_artifact.export.figures import new_figure
+from paper_artifact.report.kit.figures import draw_cloud, label_axis
 from paper_artifact.report.kit.published import published
-from paper_artifact.study.repair import Probe, Trajectory, make_probe, repair
+from paper_artifact.study.repair import RepairProbe, Trajectory, make_probe, repair
 
 PROBES = {  # name: what happens, coordinate axes of its picture
     "T1": ("punctured void closes", (0, 2)),
@@ -23,7 +26,7 @@ PROBES = {  # name: what happens, coordinate axes of its picture
     "T4d": ("the same, dense bridge", (0, 1)),
 }
 ZERO = 1e-12  # a bottleneck distance below it is rounding
-Runs = dict[str, tuple[Probe, Trajectory]]
+Runs = dict[str, tuple[RepairProbe, Trajectory]]
 
 
 def run_gate(names: Iterable[str] = tuple(PROBES), seed: int = 0, record_every: int = 20) -> Runs:
@@ -35,7 +38,8 @@ def run_gate(names: Iterable[str] = tuple(PROBES), seed: int = 0, record_every: 
 
 
 def published_factor(name: str) -> tuple[float, str]:
-    """Return the paper's factor start / end of a probe, and its text; infinite where it only says that the bar dies."""
+    """Return the paper's factor start / end of a probe, and its text; infinite where it only says that the
+    bar dies."""
     gate = published("gate")
     row = gate[gate["shape"].str.startswith(name[:2])].iloc[0]  # T4d is the paper's T4
     if row["quantity"] == "bottleneck_ratio_before_after":
@@ -44,8 +48,9 @@ def published_factor(name: str) -> tuple[float, str]:
 
 
 def gate_table(runs: Runs) -> pd.DataFrame:
-    """Return per probe what does not depend on the last bit: the start's bottleneck, significant bars before and after against
-    the target's, bars recruited at the start, the paper's factor and whether ours reaches it."""
+    """Return per probe what does not depend on the last bit: the start's bottleneck, significant bars before
+    and after against the target's, bars recruited at the start, the paper's factor and whether ours reaches
+    it."""
     columns = {}
     for name, (probe, run) in runs.items():
         factor, printed = published_factor(name)
@@ -69,8 +74,8 @@ def _title(name: str) -> str:
 
 
 def factor_table(runs: Runs) -> pd.DataFrame:
-    """Return the measured end values and factors; a thousand steps of Adam amplify the last bit, so this is for a cell that is
-    not compared."""
+    """Return the measured end values and factors; a thousand steps of Adam amplify the last bit, so this is
+    for a cell that is not compared."""
     rows = {}
     for name, (_, run) in runs.items():
         end, factor = run.bottleneck[-1], f"{run.factor:.0f}×" if run.factor < 1e6 else "> 1,000,000×"
@@ -84,8 +89,8 @@ def factor_table(runs: Runs) -> pd.DataFrame:
 
 
 def gate_figure(runs: Runs) -> Figure:
-    """Return one row per probe: start, end, and the bottleneck to the target over the steps (log, cut at 1e-12; zero is drawn
-    below the rest)."""
+    """Return one row per probe: start, end, and the bottleneck to the target over the steps (log, cut at
+    1e-12; zero is drawn below the rest)."""
     figure, axes = new_figure(len(runs), 3, 3.0, 2.3)
     for (name, (probe, run)), line in zip(runs.items(), axes, strict=True):
         low = np.minimum(run.start.min(axis=0), run.final.min(axis=0)) - 0.1
@@ -102,16 +107,16 @@ def gate_figure(runs: Runs) -> Figure:
 
 
 def component_sizes(points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the sizes, largest first, of the components of balls of this radius around points (n,3), same unit: those of H0 at
-    that value."""
+    """Return the sizes, largest first, of the components of balls of this radius around points (n,3), same
+    unit: those of H0 at that value."""
     pairs = cKDTree(points).query_pairs(2 * radius, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     return np.sort(np.bincount(connected_components(graph, directed=False)[1]))[::-1]
 
 
 def severed_table(runs: Runs) -> pd.DataFrame:
-    """Return for the probes of H0 what the second component is at the end, just below the target's death radius: half of the
-    shape, or a point torn off it."""
+    """Return for the probes of H0 what the second component is at the end, just below the target's death
+    radius: half of the shape, or a point torn off it."""
     rows = {}
     for name, (probe, run) in runs.items():
         if probe.dimension != 0:

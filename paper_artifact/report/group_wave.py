@@ -1,4 +1,5 @@
-"""Notebook 10: the group wave (App. G, Tables S11 and S12): staircases, quoted margins, pins and the candidates.
+"""Notebook 10: the group wave (App. G, Tables S11 and S12): staircases, quoted margins, pins and the
+candidates.
 
 Units as in `report.kit.staircase`.
 """
@@ -32,7 +33,7 @@ from paper_artifact.scene.sources import sources
 from paper_artifact.study.dispositions import Disposition
 
 SEEDS_AT_2048 = range(40)  # where eight's count depends on the seed
-BAR = ["shape", "samples", "dimension", "rank"]
+BAR = ["shape", "samples", "bar"]
 KINDS = {  # what the paper's quantities are of a bar
     "lifetime": "lifetime",
     "floor": "floor",
@@ -43,7 +44,8 @@ KINDS = {  # what the paper's quantities are of a bar
 
 
 def external_shapes() -> list[str]:
-    """Return the external meshes whose staircases are measured: the candidates that pass in Table S12, then Table 2's others."""
+    """Return the external meshes whose staircases are measured: the candidates that pass in Table S12, then
+    Table 2's others."""
     table = published("S12")
     passed = table.loc[table["certificate"] == "pass", "shape"]
     groups = [shape for shape in shapes_of("loop group", "void group") if shape in sources()]
@@ -51,7 +53,8 @@ def external_shapes() -> list[str]:
 
 
 def measure_external_meshes(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
-    """Return the staircases of the external shapes: 40 seeds at M = 2048, five at each other density; two minutes of CPU.
+    """Return the staircases of the external shapes: 40 seeds at M = 2048, five at each other density; two
+    minutes of CPU.
 
     Raises InputError for a mesh that cannot be had.
     """
@@ -63,37 +66,39 @@ def measure_external_meshes(progress: Callable[[str], None] | None = None) -> pd
 
 
 def table_s11(table: pd.DataFrame) -> pd.DataFrame:
-    """Return Table S11: significant (b0, b1, b2) per shape and density, ours over seeds 0–4 above the paper's seed 0; shapes
-    without a row there stand below."""
+    """Return Table S11: significant (b0, b1, b2) per shape and density, ours over seeds 0–4 above the paper's
+    seed 0; shapes without a row there stand below."""
     ours = signature_table(table[table["seed"].isin(SEEDS)])
     return beside_published(ours, signatures(published_counts("S11")))
 
 
-def rank_of(note: str) -> int:
-    """Return the rank of the bar that a published note names: "loop 4" is 4, "second H2 bar" 2, anything else 1."""
+def noted_bar(note: str, dimension: int) -> str:
+    """Return the bar that a published note names: "loop 4" is that one, "second H2 bar" the second, anything
+    else the longest."""
     number = re.search(r"loop (\d)", note)
-    return int(number[1]) if number else 2 if "second" in note else 1
+    return bar_name(dimension, int(number[1]) if number else 2 if "second" in note else 1)
 
 
 def quoted_bars() -> pd.DataFrame:
-    """Return what App. G's text and Table S13 print of single bars: shape, samples, dimension, rank, kind (lifetime, floor or
-    margin), value, printed. Where the table names no dimension it is the judged one, where no density the study's; what the text
-    has already is not repeated."""
-    quoted = pd.concat([published("S11"), published("S13")])
-    quoted = quoted.assign(kind=quoted["quantity"].map(KINDS)).dropna(subset="kind")
-    row = quoted["shape"].map(shape_row)
-    judged, samples = row.map(lambda each: each and each.judged), row.map(lambda each: each and each.samples)
-    quoted = quoted.assign(
-        dimension=quoted["dimension"].fillna(judged).astype(int),
-        samples=quoted["samples"].fillna(samples).astype(int),
-        rank=quoted["note"].map(rank_of),
-    )
-    return quoted[[*BAR, "kind", "value", "printed"]].drop_duplicates([*BAR, "kind"])
+    """Return what App. G's text and Table S13 print of single bars: shape, samples, bar, kind (lifetime,
+    floor or margin), value, printed. Where the table names no dimension it is the judged one, where no
+    density the study's; what the text has already is not repeated."""
+    rows = []
+    for row in pd.concat([published("S11"), published("S13")]).to_dict("records"):
+        if row["quantity"] not in KINDS:
+            continue
+        shape = shape_row(row["shape"])
+        known = {} if shape is None else {"dimension": shape.judged, "samples": shape.samples}
+        known |= {name: value for name, value in row.items() if not pd.isna(value)}
+        bar = noted_bar(row["note"], int(known["dimension"]))
+        keys = {"samples": int(known["samples"]), "bar": bar, "kind": KINDS[row["quantity"]]}
+        rows.append({name: row[name] for name in ("shape", "value", "printed")} | keys)
+    return pd.DataFrame(rows).drop_duplicates([*BAR, "kind"])
 
 
 def quoted_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return `quoted_bars` of the staircase's shapes beside ours: of seed 0, the least, the median and the largest over all
-    seeds measured, and whether the paper's lies between them."""
+    """Return `quoted_bars` of the staircase's shapes beside ours: of seed 0, the least, the median and the
+    largest over all seeds measured, and whether the paper's lies between them."""
     ours = bars(table).melt([*BAR, "seed"], ["lifetime", "floor", "margin"], "kind", "ours")
     first = ours[ours["seed"] == 0].set_index([*BAR, "kind"])["ours"].rename("seed 0")
     ours = ours.groupby([*BAR, "kind"])["ours"].agg(least="min", median="median", largest="max", seeds="size")
@@ -101,7 +106,7 @@ def quoted_table(table: pd.DataFrame) -> pd.DataFrame:
     for row in quoted_bars().join(ours.join(first), on=[*BAR, "kind"], how="inner").to_dict("records"):
         digits = 2 if row["kind"] == "margin" else 4
         low, high = round(row["least"], digits), round(row["largest"], digits)
-        bar = "" if row["kind"] == "floor" else f", {bar_name(row['dimension'], row['rank'])}"
+        bar = "" if row["kind"] == "floor" else f", {row['bar']}"
         numbers = {name: f"{row[name]:.{digits}f}" for name in ("seed 0", "least", "median", "largest")}
         rows.append(
             {"shape": row["shape"], "M": row["samples"], "what": row["kind"] + bar, "paper": row["printed"]}
@@ -112,18 +117,18 @@ def quoted_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def seed_dependence(table: pd.DataFrame) -> pd.DataFrame:
-    """Return for each shape and density where seeds disagree: the counts with how many seeds give each, and the margins of the
-    bar about which they disagree most."""
+    """Return for each shape and density where seeds disagree: the counts with how many seeds give each, and
+    the margins of the bar about which they disagree most."""
     signs, margins = signature_table(table).stack(), bars(table).set_index(["shape", "samples"])
     rows = {}
     for key, text in signs[signs.str.contains("×")].items():
-        over = margins.loc[[key]].groupby(["dimension", "rank"])["margin"]
+        over = margins.loc[[key]].groupby("bar")["margin"]
         undecided = over.agg(lambda each: abs((each > 1).mean() - 0.5)).idxmin()
         values = over.get_group(undecided)
         rows[key] = {
             "seeds": len(values),
             "counts": text,
-            "bar at the floor": bar_name(*undecided),
+            "bar at the floor": undecided,
             "least margin": round(values.min(), 2),
             "median": round(values.median(), 2),
             "largest": round(values.max(), 2),
@@ -132,34 +137,28 @@ def seed_dependence(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def pins() -> pd.DataFrame:
-    """Return the bars whose loss pins a tail of Table 2: shape, condition, dimension, rank, printed (the tail). C0's are those
-    of which App. G's text says so; C2's those that it destroys ("beta_1 2->1"), where C0 has no pin."""
-    text, tails = published("S11"), paper("tail_bottleneck", "2")
-    text = text[text["note"].str.contains("the pin")]
-    kept = text[["shape", "dimension"]].assign(condition="C0", rank=text["note"].map(rank_of))
-    lost = tails["note"].str.extract(r"beta_(?P<dimension>\d) \d->(?P<rank>\d)").dropna().astype(int)
-    lost = tails[["shape", "condition"]].join(lost.assign(rank=lost["rank"] + 1), how="inner")
-    both = pd.concat([kept, lost[lost["condition"] == "C2"]]).drop_duplicates("shape")
-    return both.merge(tails[["shape", "condition", "printed"]], on=["shape", "condition"])
+    """Return the bars whose loss pins a tail of Table 2: shape, condition, bar, printed (the tail). C0's are
+    those of which App. G's text says so; C2's those that it destroys ("beta_1 2->1"), where C0 has no pin."""
+    tails, rows = paper("tail_bottleneck", "2"), []
+    for row in published("S11").to_dict("records"):
+        if "the pin" in row["note"]:
+            rows.append((row["shape"], "C0", noted_bar(row["note"], int(row["dimension"]))))
+    for row in tails[tails["condition"] == "C2"].to_dict("records"):
+        if lost := re.fullmatch(r"beta_(\d) \d->(\d)", row["note"]):
+            rows.append((row["shape"], "C2", bar_name(int(lost[1]), int(lost[2]) + 1)))
+    found = pd.DataFrame(rows, columns=["shape", "condition", "bar"]).drop_duplicates("shape")
+    return found.merge(tails[["shape", "condition", "printed"]], on=["shape", "condition"])
 
 
 def pin_table(table: pd.DataFrame, samples: int = DENSITIES[-1]) -> pd.DataFrame:
-    """Return per pinned shape of the staircase half the lifetime of the bar that goes unmatched, at the evaluation density, mean
-    and range over seeds, beside the pinned tail."""
+    """Return per pinned shape of the staircase half the lifetime of the bar that goes unmatched, at the
+    evaluation density, mean and range over seeds, beside the pinned tail."""
     found = bars(table[table["samples"] == samples])
-    half = (found["lifetime"] / 2).groupby([found["shape"], found["dimension"], found["rank"]])
-    rows = pins().join(half.agg(["mean", "min", "max"]), on=["shape", "dimension", "rank"], how="inner")
-    return pd.DataFrame(
-        {
-            "shape": rows["shape"],
-            "bar": [bar_name(*bar) for bar in zip(rows["dimension"], rows["rank"], strict=True)],
-            "half its lifetime": rows["mean"].map("{:.4f}".format),
-            "least": rows["min"].map("{:.4f}".format),
-            "largest": rows["max"].map("{:.4f}".format),
-            "paper's pinned tail": rows["printed"],
-            "of condition": rows["condition"],
-        }
-    ).set_index("shape")
+    half = (found["lifetime"] / 2).groupby([found["shape"], found["bar"]]).agg(["mean", "min", "max"])
+    half = half.map("{:.4f}".format).set_axis(["half its lifetime", "least", "largest"], axis=1)
+    rows = pins().join(half, on=["shape", "bar"], how="inner").set_index("shape")
+    names = {"printed": "paper's pinned tail", "condition": "of condition"}
+    return rows[["bar", *half, "printed", "condition"]].rename(columns=names)
 
 
 def table_s12(rows: Sequence[Disposition]) -> pd.DataFrame:
@@ -182,9 +181,9 @@ def table_s12(rows: Sequence[Disposition]) -> pd.DataFrame:
 
 
 def detail_table(rows: Sequence[Disposition]) -> pd.DataFrame:
-    """Return per candidate that could be had what the certificate counts: open edges as indexed and after the exact weld,
-    non-manifold edges, pinched vertices, Euler characteristic, components, how a closed component is wound, and what its polygons
-    read before the fan split (OBJ files with larger polygons only)."""
+    """Return per candidate that could be had what the certificate counts: open edges as indexed and after the
+    exact weld, non-manifold edges, pinched vertices, Euler characteristic, components, how a closed component
+    is wound, and what its polygons read before the fan split (OBJ files with larger polygons only)."""
     lines = []
     for row in (each for each in rows if each.certificate is not None):
         found, polygons = row.certificate, polygon_counts(mesh_path(row.key))
@@ -207,8 +206,8 @@ def detail_table(rows: Sequence[Disposition]) -> pd.DataFrame:
 
 
 def polygon_counts(path: Path | str) -> tuple[int, int, int] | None:
-    """Return (edges with one polygon, edges with more than two, vertices − edges + polygons) of an OBJ file's own polygons,
-    indexed by position; None when it is no OBJ file or all its faces are triangles."""
+    """Return (edges with one polygon, edges with more than two, vertices − edges + polygons) of an OBJ file's
+    own polygons, indexed by position; None when it is no OBJ file or all its faces are triangles."""
     if Path(path).suffix != ".obj":
         return None
     polygons, points, number = [], {}, []

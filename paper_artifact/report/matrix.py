@@ -12,8 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import colour_of
+from paper_artifact.export.figures import draw_diagram, new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_diagram, label_axis, new_figure
+from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.records import Collected, target_of
 from paper_artifact.report.kit.tables import beside
 from paper_artifact.study.verdict import welch_sigma

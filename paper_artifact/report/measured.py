@@ -1,11 +1,11 @@
-"""Notebooks 03, 07 and 10: measurements that take too long for a notebook, made once by `python -m paper_artifact measure NAME`
-and kept in `results/measured/NAME.csv`."""
+"""Notebooks 03, 07 and 10: measurements that take too long for a notebook, made once by `python -m
+paper_artifact measure NAME` and kept in `results/measured/NAME.csv`.
+"""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -16,33 +16,17 @@ from paper_artifact.files import RESULTS, write_text
 MEASURED = RESULTS / "measured"
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One of the stored measurements."""
-
-    module: str  # of this package, imported only when it measures
-    function: str  # takes `progress`, returns a DataFrame
-    summary: str  # what it measures, one line
-
-
-MEASUREMENTS = {
-    "staircase": Measurement(
-        "staircase",
+MEASUREMENTS = {  # name: (function that makes it, in the report's module of that name; what it measures)
+    "staircase": (
         "measure_analytic_shapes",
         "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds",
     ),
-    "group_wave": Measurement(
-        "group_wave",
+    "group_wave": (
         "measure_external_meshes",
         "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others",
     ),
-    "cost": Measurement(
-        "cost",
-        "measure_cost",
-        "time and memory of persistence against the number of samples, on this machine",
-    ),
-    "peers": Measurement(
-        "peers",
+    "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
     ),
@@ -56,15 +40,15 @@ def write(name: str, folder: Path | str = MEASURED, progress: Callable[[str], No
     """
     if name not in MEASUREMENTS:
         raise InputError(f"no measurement is called {name!r}; there are {', '.join(MEASUREMENTS)}")
-    made = MEASUREMENTS[name]
-    module = importlib.import_module(f"paper_artifact.report.{made.module}")
-    table, path = getattr(module, made.function)(progress=progress), Path(folder) / f"{name}.csv"
+    module = importlib.import_module(f"paper_artifact.report.{name}")  # only what measures is loaded
+    table, path = getattr(module, MEASUREMENTS[name][0])(progress=progress), Path(folder) / f"{name}.csv"
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     return path
 
 
 def read(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:
-    """Return the stored measurement `name`. Raises InputError, with the command that makes it, when it cannot be read."""
+    """Return the stored measurement `name`. Raises InputError, with the command that makes it, when it cannot
+    be read."""
     path = Path(folder) / f"{name}.csv"
     try:
         return pd.read_csv(path)

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import label_axis, new_figure
+from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.records import Collected, key
 from paper_artifact.report.kit.text import NOT_RECORDED
 

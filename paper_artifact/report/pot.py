@@ -1,5 +1,5 @@
-"""Notebook 11: the procedural hot pot in the role of the paper's pot, which is not public, and the Utah teapot (Tables S4, S5,
-Fig. S7).
+"""Notebook 11: the procedural hot pot in the role of the paper's pot, which is not public, and the Utah
+teapot (Tables S4, S5, Fig. S7).
 
 Units as in `report.kit.staircase`.
 """
@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from trimesh.intersections import slice_faces_plane
 
-from paper_artifact.audit.audit import Audit
+from paper_artifact.audit.measure import Audit
 from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate
 from paper_artifact.evaluate.diagram import lifetimes
@@ -50,20 +50,22 @@ def collect_pot(profile: str = "recorded", **folders) -> Collected:
 
 
 def staircases(mesh: Mesh, seeds: Iterable[int] = SEEDS) -> pd.DataFrame:
-    """Return the shell's staircase at Table S5's densities (see `staircase.staircase`); five seeds take about 6 s of CPU."""
+    """Return the shell's staircase at Table S5's densities (see `staircase.staircase`); five seeds take about
+    6 s of CPU."""
     return staircase(mesh, DENSITIES, tuple(seeds))
 
 
-def bar_values(table: pd.DataFrame, samples: int, dimension: int, rank: int = 1) -> pd.DataFrame:
+def bar_values(table: pd.DataFrame, samples: int, bar: str) -> pd.DataFrame:
     """Return the rows of `kit.staircase.bars` of one bar at one density, one per seed."""
     found = bars(table)
-    return found[(found["samples"] == samples) & (found["dimension"] == dimension) & (found["rank"] == rank)]
+    return found[(found["samples"] == samples) & (found["bar"] == bar)]
 
 
 def table_s4(pot: hot_pot.RawPot, solid: Solid, table: pd.DataFrame, collected: Collected) -> pd.DataFrame:
-    """Return Table S4's numbers: of the paper's pot, and of the stand-in (measured now, the outcomes from the records)."""
+    """Return Table S4's numbers: of the paper's pot, and of the stand-in (measured now, the outcomes from the
+    records)."""
     raw, shell = solid.raw, solid.certificate
-    void = bar_values(table, POT.samples, 2)["margin"]
+    void = bar_values(table, POT.samples, "void 1")["margin"]
     outcomes = arms(collected).set_index("condition")
     ours = {
         "raw_vertices": len(pot.vertices),
@@ -109,22 +111,23 @@ def inventory_table(pot: hot_pot.RawPot, solid: Solid) -> pd.DataFrame:
 
 
 def table_s5(table: pd.DataFrame) -> pd.DataFrame:
-    """Return Table S5: significant (b0, b1, b2) per density, the paper's pot and the stand-in over the seeds, with the ranges of
-    the floor and of the margins of the longest void, the second longest void and the longest loop."""
+    """Return Table S5: significant (b0, b1, b2) per density, the paper's pot and the stand-in over the seeds,
+    with the ranges of the floor and of the margins of the longest void, the second longest void and the
+    longest loop."""
     columns = {
         "paper's pot": signatures(published_counts("S5")).loc["pot"],
         "stand-in": signature_table(table).iloc[0],
     }
     columns["floor"] = table.groupby("samples")["floor"].agg(span, 4)
-    margins = bars(table).groupby(["dimension", "rank", "samples"])["margin"].agg(span, 2)
-    for name, bar in (("void", (2, 1)), ("second void", (2, 2)), ("longest loop", (1, 1))):
+    margins = bars(table).groupby(["bar", "samples"])["margin"].agg(span, 2)
+    for name, bar in (("void", "void 1"), ("second void", "void 2"), ("longest loop", "loop 1")):
         columns[f"{name} / floor"] = margins[bar]
     return pd.DataFrame(columns).rename_axis("M")
 
 
 def void_table(mesh: Mesh, samples: int = POT.samples, seeds: Iterable[int] = SEEDS) -> pd.DataFrame:
-    """Return birth, death, lifetime of the longest void per seed, its margin, and how far birth and death are from their means:
-    how stable the bar is to re-sampling (the paper: about 1e-5)."""
+    """Return birth, death, lifetime of the longest void per seed, its margin, and how far birth and death are
+    from their means: how stable the bar is to re-sampling (the paper: about 1e-5)."""
     rows = {}
     for seed in seeds:
         diagram, floor = measure(mesh, samples, seed)
@@ -141,8 +144,8 @@ def void_table(mesh: Mesh, samples: int = POT.samples, seeds: Iterable[int] = SE
 
 
 def decision_text(audit: Audit) -> str:
-    """Return the audit's decision as lines: class, density, dimensions of the loss, the rule's steps, and whether the study's row
-    of the pot is the same."""
+    """Return the audit's decision as lines: class, density, dimensions of the loss, the rule's steps, and
+    whether the study's row of the pot is the same."""
     decision = audit.decision
     same = (decision.samples, decision.dimensions) == (POT.samples, POT.dimensions)
     found = audit.bundle.to_json()["bars"] if audit.bundle else []
@@ -152,11 +155,12 @@ def decision_text(audit: Audit) -> str:
 
 
 def flue_table(solid: Solid, table: pd.DataFrame) -> pd.DataFrame:
-    """Return the flue's geometry as built beside the void that is measured: the radius at which the mouth closes and birth, the
-    radius that fits into the chamber and death (mean over seeds 0–4), and half the lifetime at the evaluation density."""
+    """Return the flue's geometry as built beside the void that is measured: the radius at which the mouth
+    closes and birth, the radius that fits into the chamber and death (mean over seeds 0–4), and half the
+    lifetime at the evaluation density."""
     apothem = np.cos(np.pi / hot_pot.SIDES)  # inscribed / circumscribed radius of the flue's cross-section
     void = void_table(solid.shell).iloc[:-1].mean()
-    half = bar_values(table, DENSITIES[-1], 2)["lifetime"] / 2
+    half = bar_values(table, DENSITIES[-1], "void 1")["lifetime"] / 2
     tail = published("2").set_index(["shape", "condition"])["printed"]["pot", "C2"]
     rows = {}
     for name, radius, end in (
@@ -170,15 +174,16 @@ def flue_table(solid: Solid, table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cut_open(mesh: Mesh, axis: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (V,3), world units, and faces (F,3) of the mesh's half beyond its middle along the axis, cut exactly."""
+    """Return vertices (V,3), world units, and faces (F,3) of the mesh's half beyond its middle along the
+    axis, cut exactly."""
     normal = np.eye(3)[axis]
     vertices, faces, _ = slice_faces_plane(mesh.vertices, mesh.faces, normal, mesh.centre)
     return vertices, faces
 
 
 def pot_figure(solid: Solid, size: int = 300) -> Figure:
-    """Return Fig. S7 of the stand-in: the certified shell, from the side and from above, and cut open through the flue (red: the
-    wall where it is cut)."""
+    """Return Fig. S7 of the stand-in: the certified shell, from the side and from above, and cut open through
+    the flue (red: the wall where it is cut)."""
     shell, frame = solid.shell, solid.shell.vertices
     half = cut_open(shell)
     images = [

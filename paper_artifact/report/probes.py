@@ -1,4 +1,6 @@
-"""Notebook 02: the blindness probes (Table S1): what Chamfer, Hausdorff and bottleneck say of a right and a wrong candidate."""
+"""Notebook 02: the blindness probes (Table S1): what Chamfer, Hausdorff and bottleneck say of a right and a
+wrong candidate.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +10,34 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.report.kit.figures import draw_cloud, draw_diagram, new_figure
+from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.report.kit.published import published
-from paper_artifact.study.blindness import CASES, SAMPLES, Probe, Reading, make_probe, noise_floor, read
+from paper_artifact.study.blindness import (
+    CASES,
+    SAMPLES,
+    BlindnessProbe,
+    Reading,
+    make_probe,
+    noise_floor,
+    read,
+)
 
-Measured = dict[tuple[str, int], tuple[Probe, Reading, Reading]]
+Measured = dict[tuple[str, int], tuple[BlindnessProbe, Reading, Reading]]
 SHOWN = 5000  # points drawn of a cloud
 
 
 def measure(seeds: Iterable[int], samples: int = SAMPLES) -> Measured:
-    """Return (probe, reading of A, reading of B) by (case, seed) for every case: 4 s of CPU each at 40,000 samples."""
+    """Return (probe, reading of A, reading of B) by (case, seed) for every case: 4 s of CPU each at 40,000
+    samples."""
     probes = {(name, seed): make_probe(name, seed, samples) for name in CASES for seed in seeds}
     return {key: (probe, *read(probe)) for key, probe in probes.items()}
 
 
 def reading_table(measured: Measured) -> pd.DataFrame:
-    """Return one line per case and seed: A's parameter, Chamfer (sum, %) of A, B and of a perfect surface, Hausdorff95 (%) and
-    whom it prefers, bottleneck (significant bars, radius / D) of A and B and their ratio."""
+    """Return one line per case and seed: A's parameter, Chamfer (sum, %) of A, B and of a perfect surface,
+    Hausdorff95 (%) and whom it prefers, bottleneck (significant bars, radius / D) of A and B and their ratio.
+    """
     rows = {}
     for (name, seed), (probe, a, b) in measured.items():
         rows[name, seed] = {
@@ -65,8 +78,8 @@ def table_s1(readings: pd.DataFrame) -> pd.DataFrame:
 
 
 def picture(measured: Measured, seed: int) -> Figure:
-    """Return one row per case: clouds of A and B from the side, and their diagrams in the discriminating dimension (stars: the
-    ground truth's significant bars; dotted: the floor)."""
+    """Return one row per case: clouds of A and B from the side, and their diagrams in the discriminating
+    dimension (stars: the ground truth's significant bars; dotted: the floor)."""
     cases = [case for case, each in measured if each == seed]
     figure, axes = new_figure(len(cases), 4, 2.5, 2.4)
     for case, line in zip(cases, axes, strict=True):

@@ -1,4 +1,5 @@
-"""Notebook 03: which bars of a clean surface clear the measurement floor 6·r_med(M) at which density (Table S3, Fig. S10).
+"""Notebook 03: which bars of a clean surface clear the measurement floor 6·r_med(M) at which density (Table
+S3, Fig. S10).
 
 Notebook 01 follows spot's second void by `second_void_table`. Units as in `report.kit.staircase`.
 """
@@ -12,7 +13,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.evaluate.staircase import MULTIPLIER
-from paper_artifact.report.kit.figures import label_axis, new_figure
+from paper_artifact.export.figures import new_figure
+from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.frames import shapes_in_order
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (
@@ -28,9 +30,7 @@ from paper_artifact.report.kit.staircase import (
 )
 from paper_artifact.scene.shapes import SHAPES
 
-Followed = Mapping[
-    str, tuple[int, Sequence[int], str]
-]  # shape: (dimension, ranks of bars, what such a bar is)
+Followed = Mapping[str, Sequence[str]]  # shape: names of its bars, ("loop 1", "loop 2")
 
 
 def measure_analytic_shapes(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
@@ -39,7 +39,8 @@ def measure_analytic_shapes(progress: Callable[[str], None] | None = None) -> pd
 
 
 def table_s3(table: pd.DataFrame) -> pd.DataFrame:
-    """Return Table S3: significant H1 / H2 per shape and density, ours (over the seeds) above the paper's (its seed 0)."""
+    """Return Table S3: significant H1 / H2 per shape and density, ours (over the seeds) above the paper's
+    (its seed 0)."""
     found = significant_counts(table)
     ours = signatures(found[found["dimension"] > 0], "{} / {}")
     paper = signatures(published_counts("S3"), "{} / {}")
@@ -47,7 +48,8 @@ def table_s3(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def law_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return measured floor ÷ closed form per shape and density, mean over seeds, and the largest deviation of one seed."""
+    """Return measured floor ÷ closed form per shape and density, mean over seeds, and the largest deviation
+    of one seed."""
     ratio = table.assign(ratio=table["floor"] / table["law"]).groupby(["shape", "samples"], sort=False)[
         "ratio"
     ]
@@ -57,23 +59,18 @@ def law_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def followed_bars(table: pd.DataFrame, follow: Followed) -> pd.DataFrame:
-    """Return the rows of `bars` of the followed ones, with the name of each, shape by shape and rank by rank."""
-    found, chosen = bars(table), []
-    for shape, (dimension, ranks, name) in follow.items():
-        for rank in ranks:
-            own = found[
-                (found["shape"] == shape) & (found["dimension"] == dimension) & (found["rank"] == rank)
-            ]
-            chosen.append(own.assign(bar=f"{name} {rank}"))
-    return pd.concat(chosen, ignore_index=True)
+    """Return the rows of `bars` of the followed ones, shape by shape."""
+    found = bars(table)
+    chosen = [found[(found["shape"] == shape) & found["bar"].isin(names)] for shape, names in follow.items()]
+    return pd.concat(chosen)
 
 
 def floor_figure(table: pd.DataFrame, follow: Followed) -> Figure:
-    """Return Fig. S10: floors falling as M^(-1/2) and the lifetimes of the followed bars that they fall below."""
+    """Return Fig. S10: floors falling as M^(-1/2) and the lifetimes of the followed bars that they fall
+    below."""
     figure, axes = new_figure(1, len(follow), 3.8, 3.0)
-    for axis, (shape, own) in zip(
-        axes[0], followed_bars(table, follow).groupby("shape", sort=False), strict=True
-    ):
+    shapes = followed_bars(table, follow).groupby("shape", sort=False)
+    for axis, (shape, own) in zip(axes[0], shapes, strict=True):
         floors = own.groupby("samples")[["floor", "law"]].mean()
         line = axis.plot(floors["floor"], color="#c0392b", marker="o", markersize=3, label="floor, measured")
         axis.plot(floors["law"], color="black", linestyle=":", label="floor, closed form")
@@ -91,8 +88,9 @@ def floor_figure(table: pd.DataFrame, follow: Followed) -> Figure:
 
 
 def crossing_table(table: pd.DataFrame, follow: Followed) -> pd.DataFrame:
-    """Return the figure's numbers: per followed bar and density the mean margin lifetime / floor, the lifetime at the largest
-    density, and the M at which the margin passes 1 (interpolated on logarithmic axes)."""
+    """Return the figure's numbers: per followed bar and density the mean margin lifetime / floor, the
+    lifetime at the largest density, and the M at which the margin passes 1 (interpolated on logarithmic
+    axes)."""
     rows = {}
     for key, own in followed_bars(table, follow).groupby(["shape", "bar"], sort=False):
         mean = own.groupby("samples")[["lifetime", "floor"]].mean()
@@ -114,8 +112,8 @@ def _crossing(margin: pd.Series) -> str:
 
 
 def floor_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return measured floors (mean over seeds, radius / D) and spacings of the shapes and densities of which the paper's text
-    prints one, beside what it prints."""
+    """Return measured floors (mean over seeds, radius / D) and spacings of the shapes and densities of which
+    the paper's text prints one, beside what it prints."""
     keys, paper = ["shape", "samples"], published("floor")
     paper = paper[paper["quantity"].isin(["floor", "r_med"])].set_index(["quantity", *keys])["printed"]
     shapes, densities = (paper.index.unique(key) for key in keys)
@@ -128,8 +126,9 @@ def floor_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def second_void_table(shape: str, densities: Iterable[int] = DENSITIES, seed: int = 0) -> pd.DataFrame:
-    """Return the two longest H2 bars of a clean surface against the density: significant count, margins (lifetime / floor), and
-    half their lifetimes, which is what leaving one unmatched costs in bottleneck distance."""
+    """Return the two longest H2 bars of a clean surface against the density: significant count, margins
+    (lifetime / floor), and half their lifetimes, which is what leaving one unmatched costs in bottleneck
+    distance."""
     table = staircases([shape], densities, [seed]).set_index("samples")
     columns = {"significant H2": counts(table, 2)}
     for name, bar in (("first", "h2_1"), ("second", "h2_2")):

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import atomic_path
+from paper_artifact.files import atomic_path, load_npz
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
 
@@ -102,11 +102,10 @@ def load_soup(path: Path | str) -> Soup:
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
-        # np.load alone leaks the handle of a damaged file
-        with open(path, "rb") as handle, np.load(handle) as data:
-            names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
-            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
-    except Exception as error:  # numpy raises many kinds for a damaged archive
+        data = load_npz(path)
+        names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
+        tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in tensors]
     count = shapes[0][0] if shapes[0] else 0

@@ -1,4 +1,6 @@
-"""The candidate disposition of the group wave (paper, Table S12): every candidate's certificate beside what the paper says."""
+"""The candidate disposition of the group wave (paper, Table S12): every candidate's certificate beside what
+the paper says.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Disposition:
 
 
 def candidates() -> dict[str, tuple[str, str]]:
-    """Return {key: (the paper's certificate, its decision)}. Raises InputError when the published table cannot be read."""
+    """Return {key: (the paper's certificate, its decision)}. Raises InputError when the published table
+    cannot be read."""
     try:
         with open(TABLE, newline="", encoding="utf-8") as handle:
             rows = list(csv.DictReader(handle))

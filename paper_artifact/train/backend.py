@@ -33,8 +33,10 @@ class CpuBackend:
     to_host = to_device
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
-        """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw
-        key each."""
+        """Set the soup's gradients to the batch's and return the loss.
+
+        views: indices of the scene's views (B,), with one draw key (`draws.view_key`) each.
+        """
         drawn = soup.drawn()
         cameras = [self._cameras[int(view)] for view in views]
         targets = [self._targets[int(view)] for view in views]
@@ -101,8 +103,10 @@ def check_device(device: str) -> None:
 
 
 def backend_for(device: str, scene: Scene, views: np.ndarray) -> Backend:
-    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as
-    `check_device` does."""
+    """Return the backend for "cpu", "cuda" or "auto" (cuda if there is one).
+
+    Raises InputError as `check_device` does.
+    """
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
         return CpuBackend(scene, views)

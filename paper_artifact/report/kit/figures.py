@@ -5,31 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import colour_of, in_order
-
-DPI = 90
-
-
-def new_figure(rows: int, columns: int, width: float, height: float, **options) -> tuple[Figure, np.ndarray]:
-    """Return a closed figure of rows × columns axes, (rows, columns) array; width and height of one axes
-    in inches."""
-    figure, axes = plt.subplots(
-        rows,
-        columns,
-        figsize=(width * columns, height * rows),
-        dpi=DPI,
-        squeeze=False,
-        layout="constrained",
-        **options,
-    )
-    plt.close(figure)  # the notebook shows what a cell returns; an open figure would be shown a second time
-    return figure, axes
+from paper_artifact.export.figures import new_figure
 
 
 def image_rows(rows: Sequence[tuple[str, Sequence[np.ndarray]]], size: float = 1.5) -> Figure:
@@ -76,31 +58,6 @@ def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: s
     mean = group.mean()
     axis.plot(mean.index, mean, color=colour, label=label, linewidth=1.4)
     axis.fill_between(mean.index, group.min(), group.max(), color=colour, alpha=0.18, linewidth=0)
-
-
-def draw_diagram(
-    axis: Axes,
-    bars: np.ndarray,
-    floor: float,
-    limit: float,
-    target: np.ndarray | None = None,
-    title: str = "",
-) -> None:
-    """Draw the bars (k,2) (birth, death) with the diagonal, the floor's line above it (significant bars
-    above that, as large dots), and the target's bars as stars."""
-    margin = 0.04 * limit
-    axis.plot([0, limit], [0, limit], color="black", linewidth=0.7)
-    axis.plot([0, limit], [floor, limit + floor], color="black", linewidth=0.6, linestyle=":")
-    above = bars[:, 1] - bars[:, 0] > floor
-    axis.scatter(bars[~above, 0], bars[~above, 1], s=5, color="#7fa8dc", linewidths=0)
-    axis.scatter(bars[above, 0], bars[above, 1], s=26, color="#1f5fbf", linewidths=0)
-    if target is not None and len(target):
-        axis.scatter(
-            target[:, 0], target[:, 1], marker="*", s=110, facecolor="none", edgecolor="#c0392b", linewidths=1
-        )
-    axis.set(xlim=(-margin, limit), ylim=(-margin, limit), aspect="equal")
-    axis.set_title(title, fontsize=8)
-    axis.tick_params(labelsize=6)
 
 
 def draw_cloud(

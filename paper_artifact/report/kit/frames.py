@@ -9,6 +9,7 @@ over the diagonal; None and NaN mean unknown.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 
 import pandas as pd
@@ -41,23 +42,24 @@ def shapes(collected: Collected) -> list[str]:
 
 def conditions(collected: Collected) -> list[str]:
     """Return the conditions that were asked for, recorded or not, in the catalogue's order."""
-    return catalogue.in_order({condition for _, condition, _ in collected.wanted})
+    return catalogue.in_order(list({condition for _, condition, _ in collected.wanted}))
 
 
 def in_order(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame sorted by the catalogue's shapes and conditions, and by what it holds else in the
-    order it has."""
-    places = {
-        "shape": {name: place for place, name in enumerate(shapes_in_order(frame["shape"]))},
-        "condition": {name: place for place, name in enumerate(catalogue.in_order(set(frame["condition"])))},
+    """Return the frame sorted by shape and condition in the catalogue's order, rows of one arm as they are."""
+    orders = {
+        "shape": shapes_in_order(frame["shape"]),
+        "condition": catalogue.in_order(frame["condition"].unique()),
     }
-    return frame.sort_values(ARM, key=lambda column: column.map(places[column.name]), kind="stable")
+    return frame.sort_values(
+        ARM, key=lambda column: column.map(orders[column.name].index), kind="stable", ignore_index=True
+    )
 
 
 def runs(collected: Collected) -> pd.DataFrame:
     """Return one row per record: shape, condition, seed, dimension (judged), tail, chamfer, count
     (significant bars at the end in that dimension) and expected (see `study.verdict.rows_of`)."""
-    return in_order(pd.DataFrame(rows_of(collected.records), columns=RUN_COLUMNS)).reset_index(drop=True)
+    return in_order(pd.DataFrame(rows_of(collected.records), columns=RUN_COLUMNS))
 
 
 def verdicts(collected: Collected) -> dict[str, Verdict]:
@@ -72,23 +74,22 @@ def arms(collected: Collected) -> pd.DataFrame:
 
     An arm without any record has no seeds, empty tuples and NaN.
     """
-    judged, wanted = verdicts(collected), {}
-    for shape, condition, _ in collected.wanted:
-        wanted[shape, condition] = wanted.get((shape, condition), 0) + 1
-    rows = []
-    for (shape, condition), count in wanted.items():
-        row = {"shape": shape, "condition": condition, "wanted": count}
-        row |= {"seeds": (), "tails": (), "counts": ()}
+    judged, rows = verdicts(collected), []
+    for (shape, condition), wanted in Counter(run[:2] for run in collected.wanted).items():
+        row = {
+            "shape": shape,
+            "condition": condition,
+            "wanted": wanted,
+            "seeds": (),
+            "tails": (),
+            "counts": (),
+        }
         if shape in judged and (arm := judged[shape].arms.get(condition)):
-            row |= {
-                name: getattr(arm, name) for name in ("seeds", "tails", "counts", "mean", "sd", "chamfer")
-            }
-            row |= {
-                "dimension": judged[shape].dimension,
-                "ratio": None if condition == BASELINE else arm.ratio,
-            }
+            names = ("seeds", "tails", "counts", "mean", "sd", "chamfer")
+            row |= {name: getattr(arm, name) for name in names} | {"dimension": judged[shape].dimension}
+            row["ratio"] = None if condition == BASELINE else arm.ratio
         rows.append(row)
-    frame = in_order(pd.DataFrame(rows, columns=ARM_COLUMNS)).reset_index(drop=True)
+    frame = in_order(pd.DataFrame(rows, columns=ARM_COLUMNS))
     baseline = frame[frame["condition"] == BASELINE].set_index("shape")["chamfer"].astype(float)
     frame["chamfer ratio"] = frame["chamfer"].astype(float) / frame["shape"].map(baseline)
     return frame.astype(dict.fromkeys(STATISTICS, float) | {"dimension": "Int64"})
@@ -105,7 +106,7 @@ def dumps(collected: Collected) -> pd.DataFrame:
             measured = {"bottleneck": dump["bottleneck"][dimension], "count": dump["counts"][dimension]}
             rows.append(key | {"step": dump["step"]} | measured | {"chamfer %": 100 * dump["chamfer"]})
     columns = [*ARM, "seed", "step", "bottleneck", "count", "chamfer %"]
-    return in_order(pd.DataFrame(rows, columns=columns)).reset_index(drop=True)
+    return in_order(pd.DataFrame(rows, columns=columns))
 
 
 def paper(quantity: str = "tail_bottleneck", *tables: str) -> pd.DataFrame:

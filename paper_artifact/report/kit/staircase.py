@@ -1,8 +1,10 @@
-"""Density staircases as frames: the longest bars of clean surfaces and their floors, density by density (App. B, §6).
+"""Density staircases as frames: the longest bars of clean surfaces and their floors, density by density (App.
+B, §6).
 
-Lifetimes and floors are radii divided by the surface's bounding-box diagonal; a margin is a lifetime divided by the floor. Bars
-are known by dimension and rank, the longest first. A staircase has one row per shape, density and seed, as `results/measured/`
-keeps it; `bars` has one per bar, `significant_counts` one per dimension, with the keys of the paper's tables.
+Lifetimes and floors are radii divided by the surface's bounding-box diagonal; a margin is a lifetime divided
+by the floor. Bars are called by dimension and rank, the longest first: "loop 2". A staircase has one row per
+shape, density and seed, as `results/measured/` keeps it; `bars` has one per bar, `significant_counts` one per
+dimension, with the keys of the paper's tables.
 """
 
 from __future__ import annotations
@@ -12,8 +14,9 @@ from collections.abc import Callable, Iterable
 import pandas as pd
 
 from paper_artifact.evaluate.staircase import KEPT, MULTIPLIER, longest, measure
-from paper_artifact.mesh import Mesh, face_areas
+from paper_artifact.mesh import Mesh
 from paper_artifact.report.kit.published import published
+from paper_artifact.sampling import face_areas
 from paper_artifact.scene.find import surface
 from paper_artifact.topology.floor import uniform_spacing
 
@@ -24,8 +27,8 @@ BAR_NAMES = ("component", "loop", "void")  # by dimension
 
 
 def staircase(mesh: Mesh, densities: Iterable[int], seeds: Iterable[int], kept: int = KEPT) -> pd.DataFrame:
-    """Return one row per density and seed: shape, samples, seed, floor, law (the closed form's floor for a uniform sample), and
-    h0_1 … h2_4, the `kept` longest lifetimes per dimension, filled up with 0."""
+    """Return one row per density and seed: shape, samples, seed, floor, law (the closed form's floor for a
+    uniform sample), and h0_1 … h2_4, the `kept` longest lifetimes per dimension, filled up with 0."""
     area, seeds = float(face_areas(mesh.vertices, mesh.faces).sum()), tuple(seeds)
     rows = []
     for samples in densities:
@@ -59,12 +62,16 @@ def staircases(
 
 
 def bars(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per bar of a staircase: its other columns, dimension, rank, lifetime, margin."""
+    """Return one row per bar of a staircase: its other columns, dimension, bar ("loop 2"), lifetime, margin."""
     columns = table.filter(regex=r"^h\d_\d+$").columns
     long = table.melt(table.columns.drop(columns), columns, "bar", "lifetime", ignore_index=False)
     long = long.sort_index(kind="stable")[lambda each: each["lifetime"] > 0].reset_index(drop=True)
-    parts = long.pop("bar").str.extract(r"h(?P<dimension>\d)_(?P<rank>\d+)").astype(int)
-    return long.join(parts).assign(margin=long["lifetime"] / long["floor"])
+    names = {name: bar_name(*map(int, name[1:].split("_"))) for name in columns}
+    return long.assign(
+        dimension=long["bar"].str[1].astype(int),
+        bar=long["bar"].map(names),
+        margin=long["lifetime"] / long["floor"],
+    )
 
 
 def bar_name(dimension: int, rank: int) -> str:
@@ -78,19 +85,22 @@ def counts(table: pd.DataFrame, dimension: int) -> pd.Series:
 
 
 def significant_counts(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per row of a staircase and dimension: its keys, dimension, value (in dimension 0 with the infinite bar)."""
+    """Return one row per row of a staircase and dimension: its keys, dimension, value (in dimension 0 with
+    the infinite bar)."""
     each = [table[KEYS].assign(dimension=d, value=counts(table, d) + (d == 0)) for d in range(3)]
     return pd.concat(each, ignore_index=True)
 
 
 def published_counts(name: str) -> pd.DataFrame:
-    """Return the significant counts of one of the paper's tables, with the columns of `significant_counts` (its seed 0)."""
+    """Return the significant counts of one of the paper's tables, with the columns of `significant_counts`
+    (its seed 0)."""
     paper = published(name)
     return paper[paper["quantity"] == "significant_count"].assign(seed=0)
 
 
 def signatures(found: pd.DataFrame, form: str = "({},{},{})") -> pd.DataFrame:
-    """Return the counts (`significant_counts`) as texts, shapes × densities; where seeds differ, how many give what.
+    """Return the counts (`significant_counts`) as texts, shapes × densities; where seeds differ, how many
+    give what.
 
     form: of one text, with a place per dimension that `found` has.
     """
@@ -100,7 +110,8 @@ def signatures(found: pd.DataFrame, form: str = "({},{},{})") -> pd.DataFrame:
 
 
 def signature_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the significant counts (H0 with its infinite bar, H1, H2) of a staircase per shape and density, over its seeds."""
+    """Return the significant counts (H0 with its infinite bar, H1, H2) of a staircase per shape and density,
+    over its seeds."""
     return signatures(significant_counts(table))
 
 
@@ -114,7 +125,8 @@ def beside_published(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
 
 
 def agreement(table: pd.DataFrame, other: pd.DataFrame) -> tuple[int, float]:
-    """Return (rows in both staircases, largest difference of floors and lifetimes in units of the floor, NaN without any)."""
+    """Return (rows in both staircases, largest difference of floors and lifetimes in units of the floor, NaN
+    without any)."""
     left, right = (each.set_index(KEYS).sort_index() for each in (table, other))
     common = left.index.intersection(right.index)
     left, right = left.loc[common], right.loc[common][left.columns]

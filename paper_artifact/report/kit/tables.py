@@ -12,8 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import in_order
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_bands, label_axis, new_figure
+from paper_artifact.report.kit.figures import draw_bands, label_axis
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, seeds_text, tails_text
 from paper_artifact.study.verdict import BASELINE, LOSS
@@ -28,16 +29,13 @@ def beside(ours: pd.Series, paper: pd.Series, across: str = "shape") -> pd.DataF
     ours, paper: texts by (shape, condition); of the paper's, those of our shapes are taken. Empty where there
     is none.
     """
-    ours, paper = ours.rename("ours"), paper.rename("paper")
-    joined = pd.concat([ours, paper], axis=1).loc[lambda both: both.index.isin(ours.index.unique(0), level=0)]
-    table = joined.unstack(across).swaplevel(axis=1)
-    order = {
-        "shape": frames.shapes_in_order(joined.index.unique("shape")),
-        "condition": in_order(joined.index.unique("condition")),
-    }
-    columns = pd.MultiIndex.from_product([order.pop(across), ("ours", "paper")])
-    [rows] = order.values()
-    return blank(table.reindex(index=rows, columns=columns).dropna(axis=0, how="all"))
+    joined = pd.concat({"ours": ours, "paper": paper}, axis=1)
+    joined = joined[joined.index.isin(ours.index.unique("shape"), level="shape")]
+    shapes = frames.shapes_in_order(joined.index.unique("shape"))
+    conditions = in_order(list(joined.index.unique("condition")))
+    down, over = (conditions, shapes) if across == "shape" else (shapes, conditions)
+    columns = pd.MultiIndex.from_product([over, ("ours", "paper")])
+    return blank(joined.unstack(across).swaplevel(axis=1).reindex(index=down, columns=columns))
 
 
 def paper_texts(*tables: str) -> pd.Series:
@@ -68,13 +66,12 @@ def verdict_table(collected: Collected) -> pd.DataFrame:
     and the reason."""
     theirs, rows = frames.paper_verdicts(), {}
     for shape, judged in frames.verdicts(collected).items():
+        parity, sigma = judged.parity_ratio, judged.welch.get(BASELINE)
         rows[shape] = {
             "verdict": judged.outcome,
             "paper's tails give": theirs[shape].outcome if shape in theirs else "",
-            f"Chamfer {LOSS} / {BASELINE}": ""
-            if judged.parity_ratio is None
-            else f"{judged.parity_ratio:.2f}",
-            f"Welch {BASELINE} − {LOSS}": f"{judged.welch[BASELINE]:.1f}" if BASELINE in judged.welch else "",
+            f"Chamfer {LOSS} / {BASELINE}": "" if parity is None else f"{parity:.2f}",
+            f"Welch {BASELINE} − {LOSS}": "" if sigma is None else f"{sigma:.1f}",
             "phantoms (seeds)": _wrong_seeds(judged.phantoms),
             "lost (seeds)": _wrong_seeds(judged.missing),
             "reason": judged.reason,
@@ -83,11 +80,11 @@ def verdict_table(collected: Collected) -> pd.DataFrame:
 
 
 def _wrong_seeds(seeds: dict[str, tuple[int, ...]]) -> str:
+    """Return the arms that have any, "C0 (0, 2), C2 (1)", "none", or "unknown" without an expected count."""
     if not seeds:
         return seeds_text(None)
-    return (
-        ", ".join(f"{name} ({seeds_text(seeds[name])})" for name in in_order(seeds) if seeds[name]) or "none"
-    )
+    wrong = [f"{name} ({seeds_text(seeds[name])})" for name in in_order(list(seeds)) if seeds[name]]
+    return ", ".join(wrong) or "none"
 
 
 def seed_table(collected: Collected, *tables: str) -> pd.DataFrame:
@@ -116,11 +113,8 @@ def trajectory_figure(
 
     value: a column of `frames.dumps`; "count" has a dashed line at the expected count.
     """
-    shapes, table, runs = (
-        list(shapes) or frames.shapes(collected),
-        frames.dumps(collected),
-        frames.runs(collected),
-    )
+    shapes = list(shapes) or frames.shapes(collected)
+    table, runs = frames.dumps(collected), frames.runs(collected)
     size = (4.6, 3.2) if columns < 3 else (3.0, 2.4)
     figure, axes = new_figure(-(-len(shapes) // columns), min(columns, len(shapes)), *size)
     for axis in axes.flat[len(shapes) :]:
