@@ -215,6 +215,7 @@ def test_a_damaged_ground_truth_and_a_missing_folder_are_refused(damaged, tmp_pa
 
 def arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
+    parser.add_argument("--quiet", action="store_true")
     verb.add_arguments(parser)
     return parser.parse_args([*words, "--views", "3", "--size", "16", "--points", "50", "--supersample", "1"])
 
