@@ -122,9 +122,7 @@ def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     )
     for row in loss_rows(folder):
         print(f"  {row['what']:48s} {row['ms']:8.2f}   {row['ratio']:6.2f} × the refresh")
-    print(
-        f"What the loss adds to a run of {arguments.steps} steps (one thread, CPU seconds of the training loop)"
-    )
+    print(f"What the loss adds to {arguments.steps} steps (one thread, CPU seconds of the training loop)")
     base, with_loss = (
         run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1")
     )
@@ -139,8 +137,8 @@ def _peers(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.peers import peer_rows
 
     print(
-        "Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and backward "
-        f"to the points;\nCPU ms, one thread, medians of {arguments.repetitions} in turn; "
+        "Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and "
+        f"backward to the points;\nCPU ms, one thread, medians of {arguments.repetitions} in turn; "
         "bars, gradient: distance from ours"
     )
     missing: list[str] = []
