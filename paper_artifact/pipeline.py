@@ -73,6 +73,7 @@ def run(
     mesh = mesh if mesh is not None else find_mesh(config.shape)
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
         return _matching(read_record(recorded), recorded, config, mesh)
+    term, bundle = make_run_term(config, mesh)  # before the scene: a loss without a target is told at once
     path = record_path(config, results / "runs")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +83,6 @@ def run(
         ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
-    term, bundle = make_run_term(config, mesh)
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
     cpu = time.process_time()
 

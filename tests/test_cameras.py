@@ -1,5 +1,6 @@
 """Camera conventions: COLMAP's pixel coordinates, clip space and NDC, Fibonacci viewpoints, and the solid
-texture."""
+texture.
+"""
 
 from __future__ import annotations
 

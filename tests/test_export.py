@@ -1,5 +1,6 @@
 """Exports read back by other readers: trimesh for PLY and GLB, Pillow for PNG, and the bytes inside the HTML
-view."""
+view.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 """Fetching: against a local server and local mirrors, every failure leaves nothing behind and says what to
-do."""
+do.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ ARCHIVE = _zip("deep/tri.ply", BODY)
 @pytest.fixture(autouse=True)
 def table(tmp_path, monkeypatch):
     """A table with one plain mesh and one archive; no mirror beside the repository and none in the
-    environment."""
+    environment.
+    """
     path = tmp_path / "meshes.csv"
     rows = [
         ("tri", "data/a b.obj", BODY, "", ""),

@@ -1,5 +1,6 @@
 """Ingest: exact distances against trimesh, shells of known topology, pockets, bit-identical rebuilds, the pot
-and the teapot."""
+and the teapot.
+"""
 
 from __future__ import annotations
 

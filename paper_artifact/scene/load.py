@@ -122,7 +122,7 @@ def _description(path: Path) -> dict:
         background = np.array(description["background"], dtype=np.float64)
         sound = (
             background.shape == (3,)
-            and 0 <= background.min()
+            and background.min() >= 0
             and background.max() <= 1
             and description["radius"] > 0
         )

@@ -6,7 +6,7 @@ each builder). All are in world units, centred at the origin.
 
 from __future__ import annotations
 
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 import trimesh
