@@ -115,13 +115,21 @@ def _paper(quantity: str, **columns: int) -> float:
 
 def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     from paper_artifact.bench.run import run_row
-    from paper_artifact.bench.topology import loss_rows
+    from paper_artifact.bench.topology import loss_rows, plan_rows
 
     print(
         "The loss on the sphere's soup after 300 steps, M = 2048; CPU ms, one thread, medians of 15 in turn"
     )
     for row in loss_rows(folder):
         print(f"  {row['what']:48s} {row['ms']:8.2f}   {row['ratio']:6.2f} × the refresh")
+    print(
+        "Plans of thousands of pulls: points in a cube, a low floor, three target bars; CPU ms, medians of 15"
+    )
+    for row in plan_rows():
+        print(
+            f"  M = {row['M']:5d}, {row['pulls']} pulls: refresh {row['refresh_ms']:6.1f} "
+            f"(persistence {row['persistence_ms']:6.1f})   frozen step {row['frozen_ms']:6.2f}"
+        )
     print(f"What the loss adds to {arguments.steps} steps (one thread, CPU seconds of the training loop)")
     base, with_loss = (
         run_row("sphere", condition, arguments.steps, 1, folder)["cpu"] for condition in ("C0", "C1")
