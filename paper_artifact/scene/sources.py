@@ -71,7 +71,8 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
             rows = list(csv.DictReader(handle))
     except OSError as error:
         raise InputError(
-            f"cannot read the mesh table {table}: {error.strerror}; external meshes need a checkout of the repository"
+            f"cannot read the mesh table {table}: {error.strerror}; "
+            "external meshes need a checkout of the repository"
         ) from error
     result = {}
     for number, row in enumerate(rows, start=2):
