@@ -53,7 +53,7 @@ class LossConfig:
     refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
     floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
     fallback: str = (
-        "detach"  # what becomes of a pair that fails the Gabriel gate, see `paper_artifact.topology.gate`
+        "detach"  # what becomes of a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
     )
     method: str = "fast"  # alpha persistence by our kernels ("fast") or by gudhi (the oracle)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from paper_artifact.scene.shapes import make_shape
 from paper_artifact.pipeline import prepare_scene
+from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import tiny_config
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from paper_artifact.record.store import make_record, write_record
-from paper_artifact.report.runs import study_config
+from paper_artifact.catalogue import study_config
 
 DIMENSION = {
     "sphere": 2,

@@ -8,10 +8,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from paper_artifact.train.config import default_config
+from paper_artifact.catalogue import study_config
 
 CONFIGS = tuple(
-    default_config(
+    study_config(
         "sphere",
         seed=seed,
         steps=12,

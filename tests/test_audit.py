@@ -17,15 +17,15 @@ from paper_artifact.audit.audit import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
 from paper_artifact.audit.rule import Rung, decide
 from paper_artifact.audit.view import light_mesh
+from paper_artifact.catalogue import study_config
 from paper_artifact.certify.certificate import certify
-from paper_artifact.cli.train import parse_changes
+from paper_artifact.config import parse_changes
 from paper_artifact.errors import InputError
+from paper_artifact.evaluate.staircase import measure
 from paper_artifact.mesh import checked_mesh
-from paper_artifact.report.staircase import measure
+from paper_artifact.pipeline import make_run_term
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.topology.bundle import load_bundle
-from paper_artifact.train.config import default_config
-from paper_artifact.pipeline import make_run_term, with_condition
 from tests import certify_shapes as shapes
 
 SMALL = dict(densities=(256, 512), working=(256, 512))
@@ -101,8 +101,8 @@ def test_the_command_builds_the_audits_bundle_again():
     assert [re.search(r"--condition (\w+)", command)[1] for command in audit.commands] == ["C0", "C1", "C2"]
     words = shlex.split(audit.commands[1])
     assert words[:5] == ["python", "-m", "paper_artifact", "train", "sphere"]
-    changes = parse_changes([words[i + 1] for i, word in enumerate(words) if word == "--set"])
-    config = with_condition(default_config("sphere", condition="C1", steps=10, **changes), audit.mesh)
+    changes = parse_changes([words[i + 1] for i, word in enumerate(words) if word == "--loss"], "--loss")
+    config = study_config("sphere", "C1", steps=10, loss=changes)
     _, bundle = make_run_term(config, audit.mesh)
     assert bundle.to_json() == audit.bundle.to_json() and config.budget == 1200
 

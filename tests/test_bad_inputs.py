@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.pipeline import run
 from paper_artifact.record.store import make_record, record_path, write_record
 from paper_artifact.scene.build import mesh_hash
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.pipeline import run, with_condition
 from tests.tiny_run import TINY, tiny_arguments, tiny_config
 
 
@@ -203,7 +203,7 @@ def recorded(results, config, mesh):
 
 def test_a_record_cut_in_half(refused, tmp_path):
     mesh = make_shape("sphere")
-    path = recorded(tmp_path / "results", with_condition(tiny_config(), mesh), mesh)
+    path = recorded(tmp_path / "results", tiny_config(), mesh)
     arguments = [*tiny_arguments(), "--results", str(tmp_path / "results")]
     assert cli.main(arguments) == 0  # whole, it is taken for the run
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -233,10 +233,10 @@ def test_a_mesh_file_that_changed_since_its_record(refused, tmp_path):
     file = tmp_path / "ball.ply"
     arguments = ["train", str(file), *tiny_arguments()[2:], "--results", str(tmp_path / "results")]
     trimesh.creation.icosphere(subdivisions=2).export(file)
+    from paper_artifact.catalogue import study_config
     from paper_artifact.mesh import load_mesh
-    from paper_artifact.train.config import default_config
 
-    config = default_config(str(file), **TINY)
+    config = study_config(str(file), **TINY)
     path = recorded(tmp_path / "results", config, load_mesh(file))
     assert path == record_path(config, tmp_path / "results" / "runs") and cli.main(arguments) == 0
     trimesh.creation.icosphere(subdivisions=2, radius=2.0).export(file)

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from paper_artifact import cli
+from paper_artifact.alpha.persistence import gudhi_persistence
 from paper_artifact.bench import peers
 from paper_artifact.cli import bench
 from paper_artifact.errors import InputError
 from paper_artifact.report import measured
 from paper_artifact.report.peers import peers_machine, peers_table
-from paper_artifact.alpha.persistence import gudhi_persistence
 
 NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topological.nn")
 

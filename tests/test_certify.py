@@ -12,13 +12,13 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.study import dispositions as disposition
 from paper_artifact.certify.certificate import certify, certify_mesh
 from paper_artifact.certify.homology import betti_numbers, dual_voids
 from paper_artifact.certify.simplices import make_complex
 from paper_artifact.certify.text import certificate_text
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import load_mesh
+from paper_artifact.study import dispositions as disposition
 from tests import certify_shapes as shapes
 
 

@@ -1,11 +1,24 @@
-"""The run configuration: ranges, the paper's defaults."""
+"""Configurations and catalogue: ranges, the paper's defaults, names that new fields and new defaults leave alone."""
 
 from __future__ import annotations
 
+from dataclasses import fields, make_dataclass, replace
+
 import pytest
 
+from paper_artifact import catalogue, config
+from paper_artifact.catalogue import CONDITIONS, SHAPES, Condition, get_condition, shape_row, study_config
+from paper_artifact.config import (
+    LossConfig,
+    RunConfig,
+    config_from,
+    config_values,
+    identity,
+    parse_changes,
+    with_changes,
+)
 from paper_artifact.errors import InputError
-from paper_artifact.train.config import RunConfig, default_config
+from paper_artifact.record.store import config_hash
 
 
 @pytest.mark.parametrize(
@@ -13,32 +26,169 @@ from paper_artifact.train.config import RunConfig, default_config
     [
         ({"steps": 0}, "steps must be at least 1"),
         ({"steps": -5}, "steps must be at least 1"),
+        ({"steps": 2.5}, "steps takes a value of kind int, got 2.5"),
         ({"budget": 0}, "budget must be"),
-        ({"seed": -1}, "seed must not be negative"),
+        ({"budget": True}, "budget takes a value of kind int"),
+        ({"seed": -1}, "seed must be at least 0"),
         ({"size": 21}, "at least 22 pixels"),
         ({"vertex_lr": 0.0}, "vertex_lr must be positive"),
+        ({"vertex_lr": "fast"}, "vertex_lr takes a value of kind float, got 'fast'"),
         ({"views": 1}, "views must be at least 2"),
-        ({"mlp_lr": float("nan")}, "mlp_lr must be positive"),
-        ({"vertex_lr": float("inf")}, "finite"),
-        ({"background": "grey"}, "white or black"),
+        ({"mlp_lr": float("nan")}, "mlp_lr takes a value of kind float"),
+        ({"vertex_lr": float("inf")}, "vertex_lr takes a value of kind float"),
+        ({"background": "grey"}, "unknown background 'grey'; choose one of white, black"),
         ({"dump_steps": (10, 2501)}, "dump_steps must"),
-        ({"dump_steps": 5}, "dump_steps must"),
-        ({"topology": 3}, "topology must"),
-        ({"colour": 1}, "unknown configuration colour"),
+        ({"dump_steps": (1.5,)}, "dump_steps takes"),
+        ({"topology": 3}, "unknown setting topology; choose among shape, condition"),
+        ({"colour": 1}, "unknown setting colour"),
+        ({"loss": {"rhoo": 0.2}}, "unknown setting rhoo; choose among kind, rho, ramp"),
+        ({"loss": {"rho": -0.2}}, "rho must be positive"),
+        ({"loss": {"rho": "x"}}, "rho takes a value of kind float"),
+        ({"loss": {"ramp": (0.5, 0.2)}}, "ramp must be two fractions"),
+        ({"loss": {"noise": -1e-3}}, "noise must not be negative"),
+        ({"loss": {"samples": 3}}, "samples must be at least 4"),
+        ({"loss": {"dimensions": ()}}, "dimensions must be some of 0, 1, 2"),
+        ({"loss": {"dimensions": (1, 3)}}, "dimensions must be some of 0, 1, 2"),
+        ({"loss": {"refresh_every": 0}}, "refresh_every must be at least 1"),
+        ({"loss": {"fallback": "ignore"}}, "unknown Gabriel fallback 'ignore'"),
+        ({"loss": {"kind": "love"}}, "unknown loss kind 'love'"),
+        ({"loss": {"recruitment": 1}}, "recruitment takes a value of kind bool"),
+        (
+            {"condition": "C0", "loss": {"rho": 1.0}},
+            "condition C0 adds no loss, so it takes no loss settings",
+        ),
+        ({"condition": "C9"}, "unknown condition 'C9'; choose one of C0, C1"),
+        ({"condition": "C5"}, "C1 plus the allocation prior"),
     ],
 )
 def test_a_configuration_out_of_range_is_refused(changes, words):
     with pytest.raises(InputError, match=words):
-        default_config("sphere", **changes)
+        study_config("sphere", **({"condition": "C1"} | changes))
 
 
 def test_defaults_are_the_papers():
-    config = default_config("torus")
-    assert (config.budget, config.steps, config.batch, config.resample_every) == (700, 2500, 4, 100)
+    torus = study_config("torus")
+    assert (torus.budget, torus.steps, torus.batch, torus.resample_every) == (700, 2500, 4, 100)
     assert (
-        config.initial_ratio * config.budget > 1000
-    )  # thousands of initial points: the whole effect hangs on it (trainer.md)
-    assert config.dump_steps[-3:] == (2300, 2400, 2500)
-    assert default_config("sphere", steps=250).dump_steps[-3:] == (230, 240, 250)
-    assert default_config("sphere", steps=2).dump_steps == (1, 2)
-    assert RunConfig("a.obj").budget == default_config("a.obj").budget == 1200
+        torus.initial_ratio * torus.budget > 1000
+    )  # thousands of initial points: the whole effect hangs on it
+    assert torus.dump_steps[-3:] == (2300, 2400, 2500)
+    assert study_config("sphere", steps=250).dump_steps[-3:] == (230, 240, 250)
+    assert study_config("sphere", steps=2).dump_steps == (1, 2)
+    assert RunConfig("a.obj").budget == study_config("a.obj").budget == 1200
+    assert study_config("eight", "C1").loss == LossConfig(samples=8192)
+    assert study_config("torus", "C6").loss == LossConfig(recruitment=False, dimensions=(1,))
+    assert study_config("a.obj", "C2g", loss={"samples": 99}).loss == LossConfig(
+        "repulsion", repulsion_radius=2.0, samples=99
+    )
+
+
+def test_command_line_texts():
+    parsed = parse_changes(["rho=1", "dimensions=1,2", "ramp=None", "floor-source=live"], "--loss")
+    assert with_changes(LossConfig(), parsed) == LossConfig(
+        rho=1.0, dimensions=(1, 2), ramp=None, floor_source="live"
+    )
+    assert with_changes(LossConfig(), {"dimensions": 1, "ramp": [0, 1]}).ramp == (0.0, 1.0)
+    for text in ("rho", "=3"):
+        with pytest.raises(InputError, match="--loss takes NAME=VALUE"):
+            parse_changes([text], "--loss")
+
+
+@pytest.mark.parametrize("condition", [each.name for each in CONDITIONS])
+@pytest.mark.parametrize("shape", ["torus", "eight", "a.obj"])
+def test_a_configuration_survives_json(shape, condition):
+    made = study_config(shape, condition, 3, vertex_lr=0.5)
+    listed = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in config_values(made).items()
+    }
+    assert config_from(listed) == made
+
+
+# --- what names a run ----------------------------------------------------------------------------------------------------------
+
+# The defaults of version 1, as the first records have them. Whoever changes one raises DEFAULTS_VERSION and notes the old value in
+# FORMER_DEFAULTS; a new field is added to neither.
+VERSION_1 = {
+    "condition": "C0", "seed": 0, "steps": 2500, "budget": 1200, "views": 48, "size": 200, "background": "white", "batch": 4,
+    "vertex_lr": 0.01, "feature_lr": 0.05, "opacity_lr": 0.05, "mlp_lr": 0.01, "final_lr": 0.01, "initial_ratio": 7.5,
+    "resample_every": 100, "split_views": 20, "split_height": 0.2, "samples": 20000, "loss": None,
+    "dump_steps": (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500),
+}  # fmt: skip
+LOSS_VERSION_1 = {
+    "kind": "topology", "rho": 0.1, "ramp": (0.2, 0.5), "recruitment": True, "noise": 0.0, "repulsion_radius": 4.0,
+    "curvature_weighted": False, "samples": 2048, "dimensions": None, "bundle_seed": 0, "refresh_every": 10,
+    "floor_source": "bundle", "fallback": "detach", "method": "fast",
+}  # fmt: skip
+
+
+def test_a_changed_default_raises_the_version_of_the_defaults():
+    run, loss = config._former(1, ""), config._former(1, "loss.")
+    now = {field.name: field.default for field in fields(RunConfig)} | run
+    now_loss = {field.name: field.default for field in fields(LossConfig)} | loss
+    assert {name: now[name] for name in VERSION_1} == VERSION_1
+    assert {name: now_loss[name] for name in LOSS_VERSION_1} == LOSS_VERSION_1
+
+
+def test_only_what_differs_from_the_defaults_names_a_run():
+    assert identity(study_config("sphere")) == {
+        "defaults": 1,
+        "shape": "sphere",
+        "condition": "C0",
+        "seed": 0,
+    }
+    named = identity(study_config("torus", "C6", 2))
+    assert named["budget"] == 700 and named["loss"] == {"recruitment": False, "dimensions": (1,)}
+    assert config_hash(study_config("torus")) != config_hash(study_config("torus", budget=701))
+    assert config_hash(study_config("cube", "C1")) != config_hash(
+        study_config("cube", "C1", loss={"rho": 0.2})
+    )
+
+
+def test_a_new_field_renames_no_run(monkeypatch):
+    before = config_hash(study_config("torus", "C1"))
+    wider_loss = make_dataclass("LossConfig", [("colour", str, "red")], bases=(LossConfig,), frozen=True)
+    wider_run = make_dataclass("RunConfig", [("mood", int, 3)], bases=(RunConfig,), frozen=True)
+    old = config_values(study_config("torus", "C1"))
+    for module in (config, catalogue):
+        monkeypatch.setattr(module, "LossConfig", wider_loss)
+        monkeypatch.setattr(module, "RunConfig", wider_run)
+    wide = config_from(old)
+    assert (wide.mood, wide.loss.colour) == (3, "red") and config_hash(wide) == before
+    assert config_hash(replace(wide, mood=4)) != before
+    assert config_hash(replace(wide, loss=replace(wide.loss, colour="blue"))) != before
+
+
+def test_a_changed_default_keeps_the_names_of_older_runs(monkeypatch):
+    old = config_hash(study_config("sphere", "C1"))
+    monkeypatch.setattr(config, "DEFAULTS_VERSION", 2)
+    monkeypatch.setattr(config, "FORMER_DEFAULTS", {1: {"views": 24, "loss.rho": 0.3}})
+    # Read as of version 1, absent fields mean the old values, and the same run has the name that it had.
+    then = config_from({"shape": "sphere", "condition": "C1", "loss": {"dimensions": [2]}}, 1)
+    assert (then.views, then.loss.rho) == (24, 0.3) and config_hash(then, 1) == old
+    assert "views" not in identity(then, 1) and identity(then, 2)["views"] == 24
+    with pytest.raises(InputError, match="version 3 is unknown"):
+        config_from({"shape": "sphere"}, 3)
+
+
+# --- the catalogue -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_damaged_catalogue_is_refused(monkeypatch):
+    monkeypatch.setattr(catalogue, "SHAPES", (*SHAPES, replace(SHAPES[0], budget=3)))
+    with pytest.raises(InputError, match="has the shape 'sphere' twice"):
+        shape_row("torus")
+    monkeypatch.setattr(catalogue, "SHAPES", (*SHAPES, replace(SHAPES[0], name="odd", judged=3)))
+    with pytest.raises(InputError, match="'odd' names the dimensions"):
+        study_config("torus")
+    monkeypatch.setattr(catalogue, "CONDITIONS", (*CONDITIONS, Condition("C1", "again", "#000000")))
+    with pytest.raises(InputError, match="has the condition 'C1' twice"):
+        get_condition("C0")
+
+
+def test_the_catalogue_holds_together():
+    for row in SHAPES:
+        assert row.features[row.judged] > 0 and len(set(row.view)) > 1 and sum(row.up) == 1
+        assert row.dimensions is None or row.judged in row.dimensions
+    assert catalogue.in_order(["C7h", "Z", "C1", "C0", "C2g"]) == ["C0", "C1", "C2g", "C7h", "Z"]
+    assert catalogue.shapes_of("loop group") == ("bob", "rocker-arm", "eight") and shape_row("a.obj") is None

@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
+from paper_artifact.evaluate.geometry import chamfer, chamfer_sum, hausdorff95
 from paper_artifact.evaluate.scores import (
     discriminating_dimension,
     evaluate_samples,
@@ -24,7 +25,6 @@ from paper_artifact.evaluate.scores import (
     tail,
     tails,
 )
-from paper_artifact.evaluate.geometry import chamfer, chamfer_sum, hausdorff95
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.topology.floor import measurement_floor

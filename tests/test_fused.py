@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from paper_artifact.randomness import stream
 from paper_artifact.raster import functions
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.fused import FusedStep
 from paper_artifact.raster.threads import set_thread_count, thread_count
 from paper_artifact.raster.visibility import to_clip
-from paper_artifact.randomness import stream
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend

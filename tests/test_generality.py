@@ -10,7 +10,7 @@ from paper_artifact.files import RESULTS
 from paper_artifact.record.store import find_records, write_record
 from paper_artifact.report import gallery, generality, matrix
 from paper_artifact.report.runs import Collected, soup_path
-from paper_artifact.report.staircase import surface
+from paper_artifact.scene.find import surface
 from tests.report_records import study_record
 
 LOOPS = generality.GROUPS["loop group"]

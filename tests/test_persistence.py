@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
+from paper_artifact.alpha import delaunay, ordering
+from paper_artifact.bench import persistence as benchmark
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.bench import persistence as benchmark, delaunay, ordering
-from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
 
 
 def draw(name: str) -> np.random.Generator:

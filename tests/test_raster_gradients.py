@@ -14,9 +14,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.raster_cases import cameras, mlp, soup
 
 from paper_artifact.raster import draws, functions, threads, twin
+from tests.raster_cases import cameras, mlp, soup
 
 BACKGROUND = [1.0, 0.9, 0.8]
 FLIPS = 5e-4  # largest allowed fraction of pixels where the two disagree on the visible triangle

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from paper_artifact.certify.certificate import certify
-from paper_artifact.study.dispositions import Disposition
 from paper_artifact.report import group_wave, measured, staircase
 from paper_artifact.report.published import published
 from paper_artifact.scene.shapes import make_shape
+from paper_artifact.study.dispositions import Disposition
 
 BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
 SIDES = ("f 1 2 4 3\n", "f 5 7 8 6\n", "f 1 5 6 2\n", "f 3 4 8 7\n", "f 1 3 7 5\n", "f 2/1 6/2 8/3 4/4\n")

@@ -15,7 +15,8 @@ from paper_artifact.raster import twin
 from paper_artifact.soup.resample import Resampler, all_visible, visible_pixels
 from paper_artifact.soup.split import split_long_edges
 from paper_artifact.soup.state import Soup, initial_mlp
-from tests.raster_cases import cameras, look_at, soup as random_soup
+from tests.raster_cases import cameras, look_at
+from tests.raster_cases import soup as random_soup
 
 HEIGHT = 40
 

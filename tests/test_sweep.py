@@ -9,12 +9,13 @@ import subprocess
 import sys
 import threading
 from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from distributed import LocalCluster
 
 from paper_artifact import cli
+from paper_artifact.config import config_from, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.record.store import find_records, record_path
@@ -22,9 +23,7 @@ from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.study import studies
 from paper_artifact.study import sweep as sweep_module
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.study.sweep import Estimate, Outcome, complete, missing, sweep
-from paper_artifact.study.worker import config_from
-from paper_artifact.pipeline import with_condition
+from paper_artifact.study.sweep import Estimate, Outcome, missing, sweep
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
 
 # --- the tables ----------------------------------------------------------------------------------------------------------------
@@ -57,12 +56,9 @@ def test_table1_is_the_papers():
 def test_every_run_of_a_study_has_a_record_of_its_own_and_survives_json(name, runs):
     configs = study_configs(name)
     assert len(configs) == runs == sum(table(configs).values())
-    configs = [
-        with_condition(config, None) for config in configs
-    ]  # the mesh does not matter to the parameters
     assert len({record_path(config).name for config in configs}) == runs
     for config in configs:
-        back = config_from(json.loads(json.dumps(asdict(config))))
+        back = config_from(json.loads(json.dumps(config_values(config))))
         assert back == config and record_path(back) == record_path(config)
         assert (config.steps, len(config.dump_steps), config.samples) == (2500, 12, 20_000)
 
@@ -71,7 +67,7 @@ def test_all_runs_of_a_shape_share_every_setting_but_the_conditions():
     for name in STUDIES:
         settings = {}
         for config in study_configs(name):
-            settings.setdefault(config.shape, set()).add(replace(config, condition="C0", seed=0, topology=()))
+            settings.setdefault(config.shape, set()).add(replace(config, condition="C0", seed=0, loss=None))
         assert all(len(values) == 1 for values in settings.values())
         shared = {replace(*values, shape="", budget=1) for values in settings.values()}
         assert len(shared) == 1, "one set of hyperparameters for all shapes"
@@ -182,7 +178,7 @@ def test_what_is_recorded_is_not_run_again(swept, monkeypatch, capsys):
     assert {path: path.stat().st_mtime_ns for path in (results / "runs").iterdir()} == times
     assert reports == [("2 of 2 recorded; about 0 min left", 0, 0)]
     monkeypatch.setattr(
-        studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
+        studies, "study_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
     )
     assert (
         cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--seed=0", f"--results={results}"]) == 0
@@ -202,7 +198,7 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
 
     monkeypatch.setattr(sweep_module, "run_processes", fail)
     monkeypatch.setattr(
-        studies, "default_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
+        studies, "study_config", lambda shape, condition, seed: replace(CONFIGS[0], seed=seed)
     )
     assert (
         cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"])
@@ -230,7 +226,7 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
         assert process.wait() == -signal.SIGKILL
     wait_for_end(marker.pid)
     assert (
-        missing(complete(list(CONFIGS)), results) == list(CONFIGS)
+        missing(list(CONFIGS), results) == list(CONFIGS)
         and len(list((results / "checkpoints").iterdir())) == 1
     )
     (outcome,) = sweep([CONFIGS[0]], results)
@@ -339,7 +335,7 @@ def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, mo
     assert all(outcome.seconds > 0 for outcome in outcomes if outcome is not failed)
     records, expected = find_records(tmp_path / "results" / "runs"), find_records(swept[0] / "runs")
     assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected))
-    assert missing(complete(list(CONFIGS)), tmp_path / "results") == []
+    assert missing(list(CONFIGS), tmp_path / "results") == []
 
 
 def test_no_scheduler_is_told_in_one_line(tmp_path):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from paper_artifact.errors import InputError
 from paper_artifact.alpha.circumradius import circumradius
+from paper_artifact.errors import InputError
 
 
 def readable(corners: torch.Tensor) -> torch.Tensor:

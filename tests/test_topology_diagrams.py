@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from paper_artifact.alpha import alpha_diagrams, alpha_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.alpha import alpha_diagrams, alpha_persistence
 
 
 def cloud(count: int = 40, seed: int = 0) -> torch.Tensor:

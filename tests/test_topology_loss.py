@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
+from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import (
     Bundle,
@@ -18,10 +21,8 @@ from paper_artifact.topology.bundle import (
 )
 from paper_artifact.topology.curvature import pair_weights
 from paper_artifact.topology.floor import measurement_floor, median_spacing, significant, uniform_spacing
-from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
 from paper_artifact.topology.loss import TopologyLoss
-from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.topology.plan import Plan, PlanOptions, Term, build_plan
+from paper_artifact.topology.plan import Plan, Term, build_plan
 
 
 def sphere(seed: int, count: int = 400) -> np.ndarray:
@@ -150,8 +151,8 @@ def test_recruited_bars_leave_the_diagonal_term():
     bundle = handmade_bundle(
         [[0.0, 3.0]], 0, 60, floor=0.3
     )  # so persistent that leaving both at the diagonal is not cheaper
-    with_term = build_plan(cloud, bundle, PlanOptions(recruitment=True)).report["dimensions"]["0"]
-    without = build_plan(cloud, bundle, PlanOptions(recruitment=False)).report["dimensions"]["0"]
+    with_term = build_plan(cloud, bundle, LossConfig(recruitment=True)).report["dimensions"]["0"]
+    without = build_plan(cloud, bundle, LossConfig(recruitment=False)).report["dimensions"]["0"]
     assert without["significant"] == with_term["significant"] == 2
     assert without["matched"] + without["diagonal"] == 2
     assert with_term["matched"] + with_term["recruited"] == 1 and with_term["diagonal"] == 1
@@ -203,7 +204,7 @@ def test_float32_points_keep_their_dtype(void):
 def test_live_floor_is_an_option(void):
     bundle, live = void
     assert build_plan(live / bundle.diagonal, bundle).report["floor"] == bundle.floor
-    report = build_plan(live / bundle.diagonal, bundle, PlanOptions(floor_source="live")).report
+    report = build_plan(live / bundle.diagonal, bundle, LossConfig(floor_source="live")).report
     assert report["floor"] == report["live_floor"] == measurement_floor(live, bundle.diagonal)
 
 
@@ -244,7 +245,7 @@ def test_gate_detaches_and_counts(non_gabriel):
 
 def test_fallback_drop_takes_the_bar_out_before_the_matching(non_gabriel):
     cloud, bundle, _, _ = non_gabriel
-    plan = build_plan(cloud, bundle, PlanOptions(fallback="drop"))
+    plan = build_plan(cloud, bundle, LossConfig(fallback="drop"))
     report = plan.report["dimensions"]["1"]
     assert len(plan) == 0 and report["gabriel_failures"] == 1 and report["unreached"] == 1
     assert plan.value(torch.zeros((0, 3), dtype=torch.float64)).item() == 0.0
@@ -254,7 +255,7 @@ def test_fallback_subgradient_differentiates_the_coface_that_sets_the_value(non_
     cloud, bundle, birth, death = non_gabriel
     assert list(coface_of_value(cloud, np.array([0, 1]), birth)) == [0, 1, 2]
     assert coface_of_value(cloud, np.array([0, 1]), 1.9) is None
-    plan = build_plan(cloud, bundle, PlanOptions(fallback="subgradient"))
+    plan = build_plan(cloud, bundle, LossConfig(fallback="subgradient"))
     assert plan.report["dimensions"]["1"]["gabriel_failures"] == 1
     points = torch.tensor(cloud[plan.used.numpy()], requires_grad=True)
     plan.value(points).backward()
@@ -280,7 +281,7 @@ def test_flat_cases_and_wrong_density_are_refused(void):
         TopologyLoss(bundle, fallback="denser")
     with pytest.raises(InputError, match="unknown Gabriel fallback"):
         TopologyLoss(bundle, fallback="ignore")
-    with pytest.raises(InputError, match="unknown floor source"):
+    with pytest.raises(InputError, match="unknown floor_source"):
         TopologyLoss(bundle, floor_source="none")
     with pytest.raises(InputError, match="no plan yet"):
         TopologyLoss(bundle, refresh_every=0)(torch.tensor(live))

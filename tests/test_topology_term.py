@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 import torch
 
+from paper_artifact.catalogue import CONDITIONS, get_condition
+from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle, build_bundle
-from paper_artifact.catalogue import CONDITIONS, get_condition
 from paper_artifact.topology.controls import neighbour_pairs, repulsion
 from paper_artifact.topology.plan import Plan, Term
 from paper_artifact.topology.samples import draw_samples, samples_stream
 from paper_artifact.topology.schedule import peak_weight, ramp_factor
-from paper_artifact.topology.term import TopologyTerm, _denser, make_term
+from paper_artifact.topology.term import TopologyTerm, _denser
 
 M = 600
 
@@ -45,6 +46,11 @@ def bundle():
     return build_bundle(
         samples.positions(torch.tensor(octahedron_soup())).numpy(), 2 * 3**0.5, shape="sphere"
     )
+
+
+def term_of(condition: str, bundle: Bundle, steps: int = 100, **settings) -> TopologyTerm:
+    loss = with_changes(get_condition(condition).loss, {"samples": bundle.samples} | settings)
+    return TopologyTerm(loss, bundle, steps, 0)
 
 
 def live_soup() -> torch.Tensor:
@@ -107,10 +113,11 @@ def test_ramp_and_calibration():
 
 def run(condition: str, bundle: Bundle, steps: int = 100, upto: int = 60, photo: float = 2.0, **options):
     """Step a soup by the term alone; return (term, {step: λ(t)·L})."""
-    term = make_term(get_condition(condition), bundle, steps, 0, **options)
+    term = term_of(condition, bundle, steps, **options)
     soup, values, asked = live_soup(), {}, []
-    for step in range(upto):
-        term.refresh_if_due(step, soup, torch.full((len(soup), 3), 0.9), resampled=step % 25 == 0)
+    for step in range(1, upto + 1):
+        opacity = torch.full((len(soup), 3), 0.9)
+        term.refresh_if_due(step, soup, opacity, resampled=(step - 1) % 25 == 0)
         value = term.value(step, soup, lambda: asked.append(1) or photo)
         if value is not None:
             soup.grad = None
@@ -123,10 +130,10 @@ def run(condition: str, bundle: Bundle, steps: int = 100, upto: int = 60, photo:
 
 def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
     term, values, asked = run("C1", bundle)
-    assert min(values) == 21 and len(asked) == 1
-    assert [entry["step"] for entry in term.log if entry["event"] == "refresh"] == [21, 25, 35, 45, 50]
+    assert min(values) == 22 and len(asked) == 1
+    assert [entry["step"] for entry in term.log if entry["event"] == "refresh"] == [22, 26, 36, 46, 51]
     (weight,) = [entry for entry in term.log if entry["event"] == "lambda"]
-    assert weight["step"] == 21 and term.lambda_peak == weight["lambda_peak"]
+    assert weight["step"] == 22 and term.lambda_peak == weight["lambda_peak"]
     assert weight["lambda_peak"] == pytest.approx(0.1 * 2.0 / weight["topo_norm"])
     report = term.log[0]["dimensions"]["2"]
     assert set(report) == {
@@ -153,10 +160,8 @@ def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
 
 def test_weighted_gradient_norm_is_rho_times_photo_at_full_ramp(bundle):
     for name in ("C3", "C2"):
-        condition = get_condition(name)
-        term = make_term(condition, bundle, 100, 0)
-        soup = live_soup()
-        step = 0 if condition.ramp is None else 50
+        term, soup = term_of(name, bundle), live_soup()
+        step = 1 if term.config.ramp is None else 51
         assert term.refresh_if_due(step, soup, None)
         term.value(step, soup, 3.0).backward()
         assert torch.linalg.vector_norm(soup.grad).item() == pytest.approx(0.3, rel=1e-5)
@@ -168,29 +173,26 @@ def test_runs_repeat_exactly(bundle):
 
 
 def test_zero_gradient_calibration_is_a_stated_no_op_and_tries_again(bundle):
-    term = make_term(get_condition("C1"), bundle, 100, 0)
+    term = term_of("C1", bundle)
     soup = live_soup()
-    term.refresh_if_due(30, soup, None)
-    assert term.value(30, soup, 0.0) is None and term.lambda_peak is None
+    term.refresh_if_due(31, soup, None)
+    assert term.value(31, soup, 0.0) is None and term.lambda_peak is None
     assert term.log[-1]["event"] == "no-op" and "photometric" in term.log[-1]["reason"]
-    term._channel.plan = Plan((), M, {})  # no bar at all
-    assert term.value(31, soup, 1.0) is None and "topology" in term.log[-1]["reason"]
-    term.refresh_if_due(32, soup, None, resampled=True)
-    assert term.value(32, soup, 1.0) is not None and term.lambda_peak > 0
+    term._objective.plan = Plan((), M, {})  # no bar at all
+    assert term.value(32, soup, 1.0) is None and "topology" in term.log[-1]["reason"]
+    term.refresh_if_due(33, soup, None, resampled=True)
+    assert term.value(33, soup, 1.0) is not None and term.lambda_peak > 0
 
 
 def test_misuse_is_refused(bundle):
-    assert make_term(get_condition("C0"), None, 100, 0) is None
-    with pytest.raises(InputError, match="needs a target bundle"):
-        make_term(get_condition("C1"), None, 100, 0)
-    with pytest.raises(InputError, match="has no topology term"):
-        TopologyTerm(get_condition("C0"), bundle, 100, 0)
     with pytest.raises(InputError, match=f"built at M = {M} but the loss samples 2048"):
-        make_term(get_condition("C1"), bundle, 100, 0, samples=2048)
+        TopologyTerm(LossConfig(samples=2048), bundle, 100, 0)
     with pytest.raises(InputError, match="at least 1"):
-        make_term(get_condition("C1"), bundle, 0, 0)
+        term_of("C1", bundle, steps=0)
+    with pytest.raises(InputError, match="at least 1"):
+        term_of("C1", bundle, refresh_every=0)
     with pytest.raises(InputError, match="call refresh_if_due"):
-        make_term(get_condition("C1"), bundle, 100, 0).value(50, live_soup(), 1.0)
+        term_of("C1", bundle).value(51, live_soup(), 1.0)
     with pytest.raises(InputError, match="allocation prior"):
         get_condition("C5")
     with pytest.raises(InputError, match="unknown condition 'C9'"):
@@ -199,40 +201,41 @@ def test_misuse_is_refused(bundle):
 
 def test_state_resumes_exactly_where_a_refresh_is_due(bundle):
     def finish(term, soup, start):
-        for step in range(start, 60):
-            term.refresh_if_due(step, soup, None, resampled=step == 40)
+        for step in range(start, 61):
+            term.refresh_if_due(step, soup, None, resampled=step == 41)
             soup.grad = None
             value = term.value(step, soup, 1.0)
             if value is not None:
                 value.backward()
                 with torch.no_grad():
                     soup -= 0.1 * soup.grad
-            if step == 39:
+            if step == 40:
                 saved = json.loads(json.dumps(term.state())), soup.detach().clone()
-        return soup.detach(), saved if start == 0 else None
+        return soup.detach(), saved if start == 1 else None
 
-    straight, (state, soup) = finish(make_term(get_condition("C1"), bundle, 100, 0), live_soup(), 0)
-    resumed = make_term(get_condition("C1"), bundle, 100, 0)
+    straight, (state, soup) = finish(term_of("C1", bundle), live_soup(), 1)
+    resumed = term_of("C1", bundle)
     resumed.load_state(state)
-    again, _ = finish(resumed, soup.requires_grad_(True), 40)
-    assert torch.equal(straight, again) and [e["step"] for e in resumed.log][-2:] == [40, 50]
+    again, _ = finish(resumed, soup.requires_grad_(True), 41)
+    assert torch.equal(straight, again) and [e["step"] for e in resumed.log][-2:] == [41, 51]
 
 
 def test_conditions_are_the_papers():
-    assert list(CONDITIONS) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h"]
-    assert all(each.rho == 0.1 for each in CONDITIONS.values())
-    assert CONDITIONS["C2g"].repulsion_radius == CONDITIONS["C2"].repulsion_radius / 2
-    assert CONDITIONS["C3"].ramp is None and CONDITIONS["C1"].ramp == (0.2, 0.5)
-    assert [name for name, each in CONDITIONS.items() if not each.recruitment] == ["C6"]
-    assert (CONDITIONS["C7"].noise, CONDITIONS["C7h"].noise) == (0.005, 0.01)
+    losses = {each.name: each.loss for each in CONDITIONS}
+    assert list(losses) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h"]
+    assert losses.pop("C0") is None and all(each.rho == 0.1 for each in losses.values())
+    assert losses["C2g"].repulsion_radius == losses["C2"].repulsion_radius / 2
+    assert losses["C3"].ramp is None and losses["C1"].ramp == (0.2, 0.5)
+    assert [name for name, each in losses.items() if not each.recruitment] == ["C6"]
+    assert (losses["C7"].noise, losses["C7h"].noise) == (0.005, 0.01)
 
 
 def test_curvature_weighted_condition_weights_the_terms(bundle):
     weights = {}
     for name in ("C1", "C4"):
-        term = make_term(get_condition(name), bundle, 100, 0)
-        term.refresh_if_due(30, live_soup(), None)
-        weights[name] = [each.weight for each in term._channel.plan.terms]
+        term = term_of(name, bundle)
+        term.refresh_if_due(31, live_soup(), None)
+        weights[name] = [each.weight for each in term._objective.plan.terms]
     assert weights["C1"] == [1.0] and weights["C4"] != [1.0] and 0.25 <= weights["C4"][0] <= 4
 
 
@@ -269,31 +272,25 @@ def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch
 
     real = module.build_plan
     monkeypatch.setattr(module, "build_plan", failing_once)
-    term = make_term(get_condition("C1"), bundle, 100, 0, fallback="denser")
+    term = term_of("C1", bundle, fallback="denser")
     soup = live_soup()
-    term.refresh_if_due(30, soup, None)
-    samples = term._channel.samples
+    term.refresh_if_due(31, soup, None)
+    samples = term._objective.samples
     triangles = set(samples.faces[:2].tolist())
     assert made == [M, M + 8 * len(triangles)] == [M, len(samples)] and term.log[0]["denser_rounds"] == 1
     assert set(samples.faces[M:].tolist()) == triangles
-    assert term.value(30, soup, 1.0) is not None
+    assert term.value(31, soup, 1.0) is not None
     plan = Plan((Term(0, "diagonal", 0.0, 1.0, (0,), (0, 1), None, True),), M, {}, ((5, 6),))
     assert len(_denser(plan, samples, soup, samples_stream(0, 0))) in (8, 16)
 
 
 def test_package_is_importable_alone():
     code = (
-        "import sys, paper_artifact.topology.loss, paper_artifact.topology.term, paper_artifact.study.repair, "
+        "import sys, paper_artifact.topology.loss, paper_artifact.topology.term, "
         "paper_artifact.alpha.persistence\n"
         "parts = {name.split('.')[1] for name in sys.modules if name.startswith('paper_artifact.')}\n"
         "print(','.join(sorted(parts)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.strip().split(",")) <= {
-        "errors",
-        "files",
-        "randomness",
-        "sampling",
-        "mesh",
-        "topology",
-    }
+    rooms = {"alpha", "config", "errors", "files", "randomness", "sampling", "mesh", "topology"}
+    assert set(done.stdout.strip().split(",")) <= rooms

@@ -20,16 +20,19 @@ from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import REPOSITORY
+from paper_artifact.pipeline import run
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
 from paper_artifact.record.store import find_records
 from paper_artifact.soup.initialise import initial_soup
+from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
-from paper_artifact.train.checkpoint import read_checkpoint
-from paper_artifact.train.loop import TrainingError, TrainResult, batch_views, train
-from paper_artifact.pipeline import render_views, run
+from paper_artifact.train.checkpoint import resumed_state
+from paper_artifact.train.loop import batch_views, train
+from paper_artifact.train.state import TrainingError, TrainState
+from paper_artifact.train.term import NoTerm
 from tests.tiny_run import STEPS, tiny_arguments, tiny_config
 
 RESAMPLED = [10, 20, 30, 40, 50]
@@ -39,7 +42,7 @@ def parts(soup) -> list[torch.Tensor]:
     return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
 
 
-def same_bits(first: TrainResult, second: TrainResult) -> bool:
+def same_bits(first: TrainState, second: TrainState) -> bool:
     return (
         first.losses == second.losses
         and first.dumps == second.dumps
@@ -57,7 +60,7 @@ def dump(soup, step: int) -> dict:
 
 
 @pytest.fixture(scope="module")
-def trained(tiny_scene) -> TrainResult:
+def trained(tiny_scene) -> TrainState:
     return train(tiny_scene, tiny_config(), evaluate=dump, device="cpu")
 
 
@@ -81,7 +84,7 @@ def test_history_of_a_run(trained):
         assert one["after"] >= one["pruned"] == 200 and following["before"] == one["after"]
     assert len(trained.soup) == trained.resamplings[-1]["after"] == trained.dumps[-1]["triangles"]
     assert (
-        set(trained.seconds) == {"photometric", "optimiser", "resample", "evaluate"}
+        set(trained.seconds) == {"photometric", "topology", "optimiser", "resample", "evaluate"}
         and trained.resumed_at is None
     )
 
@@ -192,14 +195,14 @@ class FakeTerm:
         self.total = state["total"]
 
 
-def test_a_term_is_called_each_step_from_zero_and_told_of_every_new_soup(trained, tiny_scene):
+def test_a_term_is_called_each_step_from_one_and_told_of_every_new_soup(trained, tiny_scene):
     term = FakeTerm(weight=None)
     result = train(tiny_scene, tiny_config(), term=term, evaluate=dump, device="cpu")
     assert same_bits(trained, result)  # a term that gives None changes nothing
-    assert [step for step, _, _ in term.calls] == list(range(STEPS))
-    assert [step for step, resampled, _ in term.calls if resampled] == [0, *RESAMPLED]
+    assert [step for step, _, _ in term.calls] == list(range(1, STEPS + 1))
+    assert [step for step, resampled, _ in term.calls if resampled] == [1, *(step + 1 for step in RESAMPLED)]
     sizes = [600] + [entry["after"] for entry in result.resamplings]
-    assert [count for step, _, count in term.calls if step % 10 == 0] == sizes
+    assert [count for step, _, count in term.calls if step % 10 == 1] == sizes
     assert "topology" in result.seconds
 
 
@@ -218,7 +221,7 @@ def test_a_terms_gradient_moves_the_vertices(tiny_scene):
 
 def test_a_terms_state_is_saved_and_restored(tiny_scene, tmp_path):
     config, checkpoint = tiny_config(steps=40), tmp_path / "run.pt"
-    whole, term = FakeTerm(-1.0), FakeTerm(-1.0, stop_at=26)
+    whole, term = FakeTerm(-1.0), FakeTerm(-1.0, stop_at=27)
     expected = train(tiny_scene, config, term=whole, device="cpu")
     with pytest.raises(KeyboardInterrupt):
         train(tiny_scene, config, term=term, checkpoint=checkpoint, device="cpu")
@@ -227,7 +230,7 @@ def test_a_terms_state_is_saved_and_restored(tiny_scene, tmp_path):
     result = train(tiny_scene, config, term=resumed, checkpoint=checkpoint, device="cpu")
     assert result.resumed_at == 20 and same_bits(expected, result)
     assert (
-        resumed.calls[0][:2] == (20, True)
+        resumed.calls[0][:2] == (21, True)
         and resumed.calls == whole.calls[20:]
         and resumed.total == whole.total
     )
@@ -285,7 +288,7 @@ def without_circumstances(record: dict) -> dict:
 
 
 def arguments(condition: str, folder) -> list[str]:
-    extra = ["--condition=C1", "--set=topology=(('samples',512),)"] if condition == "C1" else []
+    extra = ["--condition=C1", "--loss=samples=512"] if condition == "C1" else []
     return [*tiny_arguments(), *extra, f"--results={folder}"]
 
 
@@ -330,9 +333,9 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(
     assert record["tails"]["steps"] == [20, 30, 60] and len(record["losses"]["loss"]) == STEPS
     if condition == "C1":
         assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [
-            13,
-            20,
-            30,
+            14,
+            21,
+            31,
         ]
     (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
     assert first.name == second.name
@@ -352,7 +355,9 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
     path, config = tmp_path / "run.pt", tiny_config(steps=12)
     train(tiny_scene, config, checkpoint=path, device="cpu")
     data = path.read_bytes()
-    assert read_checkpoint(path, config).step == 10 and read_checkpoint(tmp_path / "none.pt", config) is None
+    backend = backend_for("cpu", tiny_scene, tiny_scene.train)
+    assert resumed_state(path, config, NoTerm(), backend).step == 10
+    assert resumed_state(tmp_path / "none.pt", config, NoTerm(), backend) is None
 
     with pytest.raises(InputError, match="belongs to another configuration"):
         train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")
@@ -370,14 +375,14 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
 
 
 class BadTerm(FakeTerm):
-    """Fine until step 3 (from 1: 4), then not a number, in its value or in its gradient only."""
+    """Fine until step 4, then not a number, in its value or in its gradient only."""
 
     def __init__(self, gradient_only: bool) -> None:
         super().__init__()
         self.gradient_only = gradient_only
 
     def value(self, step, vertices, photo_gradient_norm):
-        if step < 3:
+        if step < 4:
             return None
         return torch.sqrt(0 * vertices.sum()) if self.gradient_only else vertices.sum() * torch.nan
 

@@ -8,10 +8,10 @@ import scipy.special
 import scipy.stats
 import torch
 import trimesh
-from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster import draws, twin
+from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
 
 KEYS = [draws.view_key(3, 5, view) for view in range(3)]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from paper_artifact.train.config import RunConfig, default_config
+from paper_artifact.catalogue import study_config
+from paper_artifact.config import RunConfig
 
 STEPS = 60
 TINY = {
@@ -26,7 +27,7 @@ def tiny_config(**changes: Any) -> RunConfig:
     values = TINY | changes
     if "dump_steps" not in changes:
         values["dump_steps"] = tuple(step for step in TINY["dump_steps"] if step <= values["steps"])
-    return default_config("sphere", **values)
+    return study_config("sphere", **values)
 
 
 def tiny_arguments() -> list[str]:

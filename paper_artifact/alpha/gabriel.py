@@ -3,7 +3,7 @@
 Paper §3.2: the re-expressed value must match the filtration value to a relative 1e-6; a pair that fails is detached. In general
 position a simplex of a bar of positive length is critical, hence Gabriel, so failures mean rounding or degenerate input.
 
-Fallbacks (`FALLBACKS`):
+Fallbacks (`LossConfig.fallback`):
   detach       the paper's default: the pair keeps its value in the loss and gets no gradient;
   drop         failing bars are taken out before the matching, so a target may be claimed by a sound bar instead;
   subgradient  a non-Gabriel simplex has the value of one of its cofaces; if one more sample of the cloud gives a coface whose
@@ -19,7 +19,6 @@ import numpy as np
 
 from paper_artifact.alpha.circumradius import radius_and_gradient
 
-FALLBACKS = ("detach", "drop", "subgradient", "denser")
 TOLERANCE = 1e-6
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import gudhi
 import numpy as np
 
 from paper_artifact.errors import InputError
@@ -108,6 +107,8 @@ def gudhi_persistence(
     gudhi's `safe` radii are exact to 1e-5 relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of
     1e-10, where we saw 4e-8); the fast path's agree with precision `exact` to 1e-9 there as well.
     """
+    import gudhi  # the oracle, and the path of degenerate clouds: only when needed
+
     marks = [time.process_time()]
     complex_ = gudhi.AlphaComplex(points=points, precision="safe")
     marks.append(time.process_time())

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass
 
 from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
 from paper_artifact.certify.certificate import Certificate, certify
+from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars
+from paper_artifact.evaluate.staircase import measure
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.report.staircase import measure
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 
 BUDGET_BY_CLASS = (700, 700, 1200)  # triangles N of the component, loop and void class (paper §4)
@@ -37,16 +38,16 @@ class Audit:
         """The shell commands that train C0, C1 and C2 with this bundle; empty when nothing is measurable."""
         if self.decision.samples is None:
             return ()
-        topology = (
-            ("bundle_seed", self.bundle.seed),
-            ("dimensions", self.decision.dimensions),
-            ("samples", self.decision.samples),
-        )
-        changes = f'--set "topology={topology!r}" --set budget={BUDGET_BY_CLASS[self.decision.dimension]}'
-        return tuple(
-            f"python -m paper_artifact train {shlex.quote(self.name)} --condition {condition} {changes}"
-            for condition in ("C0", "C1", "C2")
-        )
+        usual = LossConfig()
+        wanted = {
+            "samples": (self.decision.samples, usual.samples),
+            "dimensions": (",".join(map(str, self.decision.dimensions)), None),
+            "bundle_seed": (self.bundle.seed, usual.bundle_seed),
+        }
+        loss = "".join(f" --loss {name}={value}" for name, (value, known) in wanted.items() if value != known)
+        budget = BUDGET_BY_CLASS[self.decision.dimension]
+        begin = f"python -m paper_artifact train {shlex.quote(self.name)} --set budget={budget} --condition"
+        return (f"{begin} C0", *(f"{begin} {condition}{loss}" for condition in ("C1", "C2")))
 
     def to_json(self) -> dict:
         """Return a JSON-able dict of all but the mesh and the diagram."""

@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 
 import paper_artifact
+from paper_artifact.alpha.diagrams import alpha_diagrams
+from paper_artifact.bench.persistence import CLOUDS
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.bench.persistence import CLOUDS
-from paper_artifact.alpha.diagrams import alpha_diagrams
 
 OURS = "paper_artifact"
 LONGEST = 10

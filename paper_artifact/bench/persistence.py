@@ -8,9 +8,9 @@ from typing import Callable
 import numpy as np
 from scipy.spatial import Delaunay
 
+from paper_artifact.alpha.persistence import STAGES, fast_persistence, gudhi_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.alpha.persistence import STAGES, fast_persistence, gudhi_persistence
 
 
 def _torus(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -9,22 +9,22 @@ from statistics import median
 import numpy as np
 import torch
 
+from paper_artifact.catalogue import study_config
+from paper_artifact.pipeline import prepare_scene
 from paper_artifact.raster import functions, twin
 from paper_artifact.raster.draws import view_key
+from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
-from paper_artifact.train.config import default_config
 from paper_artifact.train.loop import train
-from paper_artifact.pipeline import find_mesh, prepare_scene
-
 
 FUSED = "numba, fused (the trainer's)"
 
 
 def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
     """Return the sphere's scene and a soup trained for `steps` steps (pruned to N = 1200), built under `results`."""
-    config = default_config("sphere", steps=steps)
+    config = study_config("sphere", steps=steps)
     scene = prepare_scene(config, find_mesh("sphere"), results / "scenes")
     return scene, train(scene, config, device="cpu").soup
 

@@ -9,13 +9,13 @@ from statistics import median
 
 import torch
 
-from paper_artifact.bench.raster import sphere_case
-from paper_artifact.catalogue import get_condition
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.bench.raster import sphere_case
+from paper_artifact.catalogue import study_config
+from paper_artifact.pipeline import make_run_term
+from paper_artifact.scene.find import find_mesh
 from paper_artifact.topology.samples import draw_samples, samples_stream
-from paper_artifact.topology.term import make_term
-from paper_artifact.train.config import default_config
-from paper_artifact.pipeline import find_mesh, make_run_term, with_condition
+from paper_artifact.topology.term import TopologyTerm
 
 
 def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[dict]:
@@ -23,7 +23,7 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
     refresh."""
     _, soup = sphere_case(results, steps)
     mesh = find_mesh("sphere")
-    config = with_condition(default_config("sphere", condition="C1"), mesh)
+    config = study_config("sphere", "C3")  # no ramp: active from the first step
     _, bundle = make_run_term(config, mesh)
     opacity = torch.sigmoid(soup.opacity.detach())
     times: dict[str, list[float]] = {
@@ -33,15 +33,13 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
     }
     refresh, oracle, frozen = times
     for repetition in range(repetitions + 1):
-        term = make_term(
-            get_condition("C3"), bundle, config.steps, seed=repetition
-        )  # no ramp: active from the first step
+        term = TopologyTerm(config.loss, bundle, config.steps, seed=repetition)
         begin = time.process_time()
-        term.refresh_if_due(0, soup.vertices, opacity, True)
+        term.refresh_if_due(1, soup.vertices, opacity, True)
         times[refresh].append(time.process_time() - begin)
-        term.value(0, soup.vertices, 1.0)  # sets the weight
+        term.value(1, soup.vertices, 1.0)  # sets the weight
         begin = time.process_time()
-        term.value(0, soup.vertices, 1.0).backward()
+        term.value(1, soup.vertices, 1.0).backward()
         times[frozen].append(time.process_time() - begin)
         begin = time.process_time()
         samples = draw_samples(soup.vertices, opacity, bundle.samples, samples_stream(repetition, 0))

@@ -86,8 +86,8 @@ def _run(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
-    from paper_artifact.report.cost import CLOUDS
     from paper_artifact.bench.persistence import growth_exponent, persistence_rows
+    from paper_artifact.report.cost import CLOUDS
 
     print("Alpha persistence with birth and death simplices; CPU ms, one thread, medians of 7 in turn")
     for cloud, (what, draw) in CLOUDS.items():

@@ -32,10 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the certificate. Returns 0 (with --strict 1 when it fails); InputError goes to the caller."""
     from paper_artifact.certify.certificate import certify_mesh
-    from paper_artifact.study.dispositions import disposition_text, dispositions
     from paper_artifact.certify.text import certificate_text
     from paper_artifact.files import write_json
     from paper_artifact.scene.find import find_mesh
+    from paper_artifact.study.dispositions import disposition_text, dispositions
 
     if arguments.candidates == (arguments.mesh is not None):
         raise InputError("name one mesh to certify, or give --candidates for the paper's table")

@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
-    from paper_artifact.pipeline import find_mesh
+    from paper_artifact.scene.find import find_mesh
 
     is_soup = arguments.surface.suffix == ".npz"
     if arguments.scene is not None and not is_soup:
@@ -124,7 +124,7 @@ def table(result: dict) -> str:
 def _holdout_scores(soup, folder: Path) -> dict:
     from paper_artifact.evaluate.image import image_scores
     from paper_artifact.scene.load import load_scene
-    from paper_artifact.pipeline import render_views
+    from paper_artifact.soup.render import render_views
 
     scene = load_scene(folder)
     return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.images[scene.holdout])

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     if "html" in arguments.formats:
         parts = {"soup": triangles}
         if arguments.target is not None:
-            from paper_artifact.pipeline import find_mesh
+            from paper_artifact.scene.find import find_mesh
 
             parts["ground truth"] = mesh_triangles(find_mesh(arguments.target))
         write_html(path_of("html"), parts, arguments.soup.stem)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import ast
-from dataclasses import fields
 from pathlib import Path
 
+from paper_artifact.catalogue import study_config
+from paper_artifact.config import RunConfig, parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
 
@@ -27,7 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         dest="changes",
-        help="change any other number of the configuration, e.g. --set vertex_lr=0.006 --set budget=900",
+        help="change any other setting of the run, e.g. --set vertex_lr=0.006 --set budget=900",
+    )
+    parser.add_argument(
+        "--loss",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a setting of the condition's loss, e.g. --loss rho=0.2 --loss samples=8192 --loss dimensions=1,2",
     )
     parser.add_argument(
         "--results",
@@ -47,19 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def parse_changes(changes: list[str]) -> dict:
-    """Return {name: value} of NAME=VALUE texts; values are Python literals, else text. Raises InputError without an equals
-    sign."""
-    parsed = {}
-    for change in changes:
-        name, equals, text = change.partition("=")
-        if not equals or not name:
-            raise InputError(f"--set takes NAME=VALUE, got {change!r}")
-        try:
-            parsed[name] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            parsed[name] = text
-    return parsed
+def config_from_arguments(arguments: argparse.Namespace) -> RunConfig:
+    """Return the configuration that the command line asks for. InputError for what is unknown or out of range."""
+    changes = parse_changes(arguments.changes, "--set")
+    for name in set(changes) & {"shape", "condition", "seed", "steps", "loss"}:
+        raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
+    loss = parse_changes(arguments.loss, "--loss")
+    return study_config(
+        arguments.shape, arguments.condition, arguments.seed, loss=loss, steps=arguments.steps, **changes
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -67,31 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
     from tqdm import tqdm
 
-    from paper_artifact.raster.threads import set_thread_count
-    from paper_artifact.record.store import record_path
-    from paper_artifact.train.config import RunConfig, default_config
-    from paper_artifact.train.loop import TrainingError
     from paper_artifact.pipeline import run as run_config
+    from paper_artifact.raster.threads import set_thread_count
+    from paper_artifact.record.store import config_of, record_path
+    from paper_artifact.train.state import TrainingError
 
-    changes = parse_changes(arguments.changes)
-    kinds = {field.name: field.type for field in fields(RunConfig)}
-    for name, value in changes.items():
-        if name in ("shape", "condition", "seed", "steps"):
-            raise InputError(
-                f"--set {name} is not taken, since {name} has an argument of its own; see --help"
-            )
-        if kinds.get(name) == "float" and isinstance(value, int):
-            changes[name] = float(value)
-        elif (
-            kinds.get(name) == "int"
-            and not isinstance(value, int)
-            or kinds.get(name) == "float"
-            and not isinstance(value, float)
-        ):
-            raise InputError(f"--set {name} takes a number of kind {kinds[name]}, got {value!r}")
-    config = default_config(
-        arguments.shape, condition=arguments.condition, seed=arguments.seed, steps=arguments.steps, **changes
-    )
+    config = config_from_arguments(arguments)
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
     set_thread_count(arguments.threads)
@@ -118,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         except TrainingError as error:
             raise InputError(str(error)) from error
     summary(record)
-    print(f"record: {record_path(record['config'], arguments.results / 'runs')}")
+    print(f"record: {record_path(config_of(record), arguments.results / 'runs', record['defaults'])}")
     return 0
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
@@ -25,29 +26,9 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.floor import measurement_floor
 
 SAMPLES = 20_000
+TAIL_DUMPS = 3  # a tail is the mean of the last dumps (paper §4)
 TARGETS = RESULTS / "targets"
 DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a record stays small
-
-# The dimension each study shape is judged in (Table 1, Table 2, Tables S2 and S10): a decision of the paper's, not of β alone.
-DISCRIMINATING = {
-    "sphere": 2,
-    "cube": 2,
-    "cylinder": 2,
-    "torus": 1,
-    "two_spheres": 0,
-    "double_torus": 1,
-    "bowl_narrow": 2,
-    "bowl_wide": 2,
-    "spot": 2,
-    "fandisk": 2,
-    "armadillo": 2,
-    "horse": 2,
-    "pot": 2,
-    "tom_yum_pot": 2,
-    "bob": 1,
-    "rocker-arm": 1,
-    "eight": 1,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +82,10 @@ def make_target(
                 np.savez_compressed(handle, **{f"bars_{i}": bars for i, bars in enumerate(diagram)})
     floor = measurement_floor(samples, mesh.diagonal)
     if dimension is None:
-        dimension = DISCRIMINATING.get(mesh.name)
-    if dimension is None:
-        dimension = discriminating_dimension(mesh.betti, significant_counts(diagram, floor))
+        row = shape_row(mesh.name)
+        dimension = (
+            row.judged if row else discriminating_dimension(mesh.betti, significant_counts(diagram, floor))
+        )
     return Target(mesh.name, samples, mesh.diagonal, diagram, floor, dimension, seed)
 
 
@@ -168,7 +150,7 @@ def evaluate_soup(
     return {"step": int(step)} | evaluate_samples(samples, target)
 
 
-def tail(dumps: Sequence[Mapping], dimension: int, last: int = 3) -> float:
+def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> float:
     """Return the mean bottleneck in `dimension` of the last dumps by step (2300, 2400, 2500 in the study; paper §4).
 
     Raises InputError for fewer than `last` dumps.
@@ -181,7 +163,7 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = 3) -> float:
     return float(np.mean([dump["bottleneck"][dimension] for dump in chosen]))
 
 
-def tails(dumps: Sequence[Mapping], last: int = 3) -> dict:
+def tails(dumps: Sequence[Mapping], last: int = TAIL_DUMPS) -> dict:
     """Return means over the last dumps, "bottleneck" [3], "chamfer", "hausdorff95", their "steps", and the last "counts" [3]."""
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]

@@ -9,8 +9,8 @@ import numpy as np
 from paper_artifact.mesh import Mesh
 from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup
-from paper_artifact.pipeline import render_views
 
 
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:

@@ -1,13 +1,13 @@
 """Run records: what one run was, on what it ran, and what came out, in one small JSON file.
 
-File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of
-the config's canonical JSON. A second hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers
-that are not finite are stored as null: JSON has no NaN.
+File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of the run's
+identity: what differs from the defaults (`paper_artifact.config.identity`), whose version the record names under "defaults". A second
+hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers that are not finite are stored as null: JSON
+has no NaN.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
@@ -18,28 +18,26 @@ from typing import Any
 
 import numpy as np
 
+from paper_artifact.config import DEFAULTS_VERSION, RunConfig, config_from, config_values, identity
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, write_text
 from paper_artifact.record.environment import host, packages
 from paper_artifact.record.packing import pack, unpack
 
 SCHEMA = "paper_artifact.run"
-VERSION = 1
+VERSION = 2
 RUNS = RESULTS / "runs"
-STATUSES = ("done", "failed")
-REQUIRED = ("config", "config_hash", "digest", "dumps", "host", "packages", "status", "tails", "timings")
+REQUIRED = ("config", "config_hash", "defaults", "digest", "dumps", "host", "packages", "tails", "timings")
 DIGITS = 7
 ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
 LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
 
 def plain(value: Any, digits: int | None = None) -> Any:
-    """Return `value` as JSON knows it: dataclasses, mappings → dicts; arrays, tuples → lists; NaN, infinity → None.
+    """Return `value` as JSON knows it: mappings → dicts; arrays, tuples → lists; NaN, infinity → None.
 
     digits: significant digits that floats are rounded to, or None. Raises InputError for what a record cannot hold.
     """
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
         if any(str(key).startswith("#") for key in value):
             raise InputError(
@@ -61,44 +59,48 @@ def plain(value: Any, digits: int | None = None) -> Any:
     raise InputError(f"a record cannot hold a {type(value).__name__}; give numbers, texts, lists or mappings")
 
 
-def config_hash(config: Any) -> str:
-    """Return the first 12 hex digits of the SHA-256 of `config` (mapping or dataclass) as canonical JSON."""
-    return _hash(plain(config))[:12]
+def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
+    """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the defaults."""
+    return _hash(plain(identity(config, version)))[:12]
 
 
-def record_path(config: Any, folder: Path | str = RUNS) -> Path:
-    """Return the path of the record of `config`, which has "shape", "condition" and "seed"; InputError when one is missing."""
-    config = plain(config)
-    missing = [name for name in ("shape", "condition", "seed") if name not in config]
-    if missing:
-        raise InputError(f"a run's config needs {', '.join(missing)} to name its record")
+def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEFAULTS_VERSION) -> Path:
+    """Return where the record of `config` lies, or would lie, under that version of the defaults."""
     shape, condition = (
-        re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(str(config[name])).name) for name in ("shape", "condition")
+        re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(name).name) for name in (config.shape, config.condition)
     )
-    return Path(folder) / f"{shape}-{condition}-s{config['seed']}-{config_hash(config)}.json"
+    return Path(folder) / f"{shape}-{condition}-s{config.seed}-{config_hash(config, version)}.json"
+
+
+def recorded_path(config: RunConfig, folder: Path | str = RUNS) -> Path | None:
+    """Return the path of the record of `config` that is there, under the newest version of the defaults that has one, or None."""
+    paths = [record_path(config, folder, version) for version in range(DEFAULTS_VERSION, 0, -1)]
+    return next((path for path in paths if path.is_file()), None)
+
+
+def config_of(record: Mapping) -> RunConfig:
+    """Return the record's configuration; a field that is newer than the record has its default. InputError when it is not one."""
+    return config_from(record["config"], record["defaults"])
 
 
 def make_record(
-    config: Any,
+    config: RunConfig,
     dumps: list,
     tails: Mapping,
     timings: Mapping[str, float],
-    status: str = "done",
     losses: Mapping[str, list] | None = None,
     **more: Any,
 ) -> dict:
     """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length, "step" among them.
 
-    more: further sections ("images", "topology", "soup", "error", ...). Losses are thinned to LOSS_POINTS rows, the last kept.
-    Raises InputError for an unknown status, or a section that JSON cannot hold.
+    more: further sections ("images", "topology", "soup", ...). Losses are thinned to LOSS_POINTS rows, the last kept.
+    Raises InputError for a section that JSON cannot hold.
     """
-    if status not in STATUSES:
-        raise InputError(f"a record's status is one of {', '.join(STATUSES)}, got {status}")
     body = {
         "schema": SCHEMA,
         "version": VERSION,
-        "status": status,
-        "config": plain(config),
+        "defaults": DEFAULTS_VERSION,
+        "config": plain(config_values(config)),
         "config_hash": config_hash(config),
         "packages": packages(),
         "host": host(),
@@ -115,7 +117,7 @@ def write_record(record: Mapping, folder: Path | str = RUNS) -> Path:
 
     One line per top-level key; long logs are packed as tables (see `packing`), which `read_record` undoes.
     """
-    path = record_path(record["config"], folder)
+    path = record_path(config_of(record), folder, record["defaults"])
     lines = [
         f" {json.dumps(key)}: {_canonical(pack(record[key]) if key in ROUNDED else record[key])}"
         for key in sorted(record)
@@ -156,11 +158,17 @@ def read_record(path: Path | str) -> dict:
     missing = [name for name in REQUIRED if name not in record]
     if missing:
         raise InputError(f"the record {path} lacks {', '.join(missing)}; delete it and run again")
-    if record["config_hash"] != config_hash(record["config"]):
+    try:
+        config, version = config_of(record), record["defaults"]
+    except InputError as error:
+        raise InputError(
+            f"the record {path} has a configuration that this code does not know ({error}); run it again"
+        ) from error
+    if record["config_hash"] != config_hash(config, version):
         raise InputError(
             f"the record {path} was changed: its config does not match its hash; delete it and run again"
         )
-    expected = record_path(record["config"]).name
+    expected = record_path(config, version=version).name
     if path.name != expected:
         raise InputError(
             f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again"

@@ -12,13 +12,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.catalogue import study_config
 from paper_artifact.evaluate.image import image_scores
+from paper_artifact.pipeline import prepare_scene, run
 from paper_artifact.report.figures import draw_band, image_rows, new_figure
 from paper_artifact.report.published import published
 from paper_artifact.report.runs import RETRAINED, Collected, collect, dump_table, loss_table, soup_path
+from paper_artifact.scene.find import find_mesh
+from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup, load_soup
-from paper_artifact.train.config import default_config
-from paper_artifact.pipeline import find_mesh, prepare_scene, render_views, run
 
 # What a short run of 300 steps reaches with a wide margin. Only "above or below" is compared between machines:
 # compiled kernels may differ in the last bit from one kind of CPU to another, and training amplifies that.
@@ -48,11 +50,11 @@ def reconstruct(
         mesh = find_mesh(shape)
         with tempfile.TemporaryDirectory(prefix="paper_artifact-") as temporary:
             if profile == "full":
-                results, config = RETRAINED, default_config(shape, seed=seed)
+                results, config = RETRAINED, study_config(shape, seed=seed)
             else:
                 results, config = (
                     Path(temporary),
-                    default_config(shape, seed=seed, steps=steps, size=size, dump_steps=(steps,)),
+                    study_config(shape, seed=seed, steps=steps, size=size, dump_steps=(steps,)),
                 )
             record = run(config, mesh=mesh, results=results)
             scene = prepare_scene(config, mesh, results / "scenes")

@@ -11,15 +11,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.mesh import Mesh
 from paper_artifact.report.figures import image_rows
 from paper_artifact.report.published import published
 from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.staircase import counts, signature_table, staircase, surface
+from paper_artifact.report.staircase import counts, signature_table, staircase
+from paper_artifact.scene.find import surface
 from paper_artifact.scene.shapes import BOWL_RIMS
-from paper_artifact.catalogue import protocol_of
 from paper_artifact.study.tables import counts_text, published_rows, tails_text
 from paper_artifact.study.verdict import rows_of, verdict
 from paper_artifact.topology.bundle import build_from_mesh
@@ -104,12 +105,12 @@ def bundle_table() -> pd.DataFrame:
     """Return the study's bundles: density, seed, dimensions, number of bars, birth and death, margin over the floor."""
     rows = []
     for shape in SHAPES:
-        protocol, mesh = protocol_of(shape), surface(shape)
+        protocol, mesh = shape_row(shape), surface(shape)
         bundle = build_from_mesh(
             mesh.vertices,
             mesh.faces,
             protocol.samples,
-            protocol.seed,
+            protocol.bundle_seed,
             shape=shape,
             dimensions=protocol.dimensions,
         ).to_json()

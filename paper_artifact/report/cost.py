@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.bench.persistence import CLOUDS as DRAWN
+from paper_artifact.bench.persistence import growth_exponent, persistence_rows
 from paper_artifact.record.environment import host, packages
 from paper_artifact.report.figures import new_figure
 from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.staircase import surface
 from paper_artifact.sampling import sample_surface
-from paper_artifact.bench.persistence import CLOUDS as DRAWN
-from paper_artifact.bench.persistence import growth_exponent, persistence_rows
+from paper_artifact.scene.find import surface
 
 SIZES = (2048, 4096, 8192, 20_000)
 STAGES = ("delaunay", "filtration", "reduction", "pairs")

@@ -15,8 +15,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.evaluate.diagram import diagram_of, significant_counts
-from paper_artifact.evaluate.scores import DISCRIMINATING, SAMPLES, soup_samples
+from paper_artifact.evaluate.scores import SAMPLES, soup_samples
 from paper_artifact.export.triangles import THRESHOLD, soup_triangles
 from paper_artifact.files import RESULTS
 from paper_artifact.randomness import stream
@@ -24,7 +25,7 @@ from paper_artifact.report.figures import new_figure
 from paper_artifact.report.generality import SHAPES, expected_count
 from paper_artifact.report.render import render_flat
 from paper_artifact.report.runs import RETRAINED, Collected, soup_path
-from paper_artifact.report.staircase import surface
+from paper_artifact.scene.find import surface
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.topology.floor import measurement_floor
 
@@ -76,7 +77,7 @@ def gallery_figure(
     (20,000 samples), blue outline where it is the bundle's, filled orange where it is not."""
     figure, axes = new_figure(len(shapes), 1 + len(ARMS), 1.9, 1.9)
     for shape, line in zip(shapes, axes, strict=True):
-        dimension, expected = DISCRIMINATING[shape], expected_count(shape)
+        dimension, expected = shape_row(shape).judged, expected_count(shape)
         direction, up = VIEWS[shape]
         mesh = surface(shape)
         _show(
@@ -103,7 +104,7 @@ def gallery_table(
     is shown (same samples), the seeds whose count is right, tail and Chamfer (%)."""
     rows = []
     for shape in shapes:
-        dimension, expected = DISCRIMINATING[shape], expected_count(shape)
+        dimension, expected = shape_row(shape).judged, expected_count(shape)
         for condition in ARMS:
             found = soup_of(collected, shape, condition, seed, profile)
             every = [record["tails"]["counts"][dimension] for record in collected.of(shape, condition)]

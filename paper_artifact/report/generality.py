@@ -12,14 +12,15 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import significant_counts
-from paper_artifact.evaluate.scores import DISCRIMINATING, Target, make_target
+from paper_artifact.evaluate.scores import Target, make_target
+from paper_artifact.evaluate.staircase import longest, measure
 from paper_artifact.report.matrix import papers_tails
 from paper_artifact.report.published import published, published_value
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.staircase import longest, measure, surface
-from paper_artifact.catalogue import protocol_of
+from paper_artifact.scene.find import surface
 from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text
 from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
 
@@ -121,9 +122,9 @@ def verdict_lines(collected: Collected) -> pd.DataFrame:
 def expected_count(shape: str) -> int:
     """Return the bars of the shape's bundle in the discriminating dimension: what the clean surface shows at the density of the
     loss."""
-    protocol = protocol_of(shape)
-    return significant_counts(*measure(surface(shape), protocol.samples, protocol.seed))[
-        DISCRIMINATING[shape]
+    protocol = shape_row(shape)
+    return significant_counts(*measure(surface(shape), protocol.samples, protocol.bundle_seed))[
+        shape_row(shape).judged
     ]
 
 
@@ -135,9 +136,9 @@ def count_table(collected: Collected) -> pd.DataFrame:
     for shape in SHAPES:
         arms = found[shape].arms if shape in found else {}
         rows[shape] = {
-            "dimension": f"H{DISCRIMINATING[shape]}",
-            "clean surface, bundle": f"{expected_count(shape)} at M = {protocol_of(shape).samples}",
-            "clean surface, 20,000": _target(shape).counts[DISCRIMINATING[shape]],
+            "dimension": f"H{shape_row(shape).judged}",
+            "clean surface, bundle": f"{expected_count(shape)} at M = {shape_row(shape).samples}",
+            "clean surface, 20,000": _target(shape).counts[shape_row(shape).judged],
         } | {name: counts_text(arms[name]) if name in arms else "not recorded" for name in ARMS}
     return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -147,7 +148,7 @@ def margin_table(collected: Collected) -> pd.DataFrame:
     samples, of the last bar that the bundle expects (count turns at 1), on the clean surface and at step 2500 of every run."""
     rows = {}
     for shape in SHAPES:
-        dimension, expected, target = DISCRIMINATING[shape], expected_count(shape), _target(shape)
+        dimension, expected, target = shape_row(shape).judged, expected_count(shape), _target(shape)
         clean = _margin(target.diagram[dimension], expected, target.floor)
         row = {"bar": f"H{dimension}, {expected}. longest", "clean surface": clean}
         for name in ARMS:

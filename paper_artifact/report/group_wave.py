@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from paper_artifact.study.dispositions import Disposition, dispositions
 from paper_artifact.report.published import published
-from paper_artifact.report.staircase import counts, signature_table, staircase, surface
+from paper_artifact.report.staircase import counts, signature_table, staircase
 from paper_artifact.scene.fetch import mesh_path
+from paper_artifact.scene.find import surface
 from paper_artifact.scene.sources import sources
+from paper_artifact.study.dispositions import Disposition, dispositions
 
 IN_TABLE = ("rocker-arm", "eight", "armadillo", "horse")  # the rows of Table S11
 SHAPES = (*IN_TABLE, "bob", "fandisk", "spot", "cheburashka", "eight-dense")

@@ -15,7 +15,7 @@ from paper_artifact.files import RESULTS
 from paper_artifact.report.figures import COLOURS, draw_band, draw_diagram, new_figure
 from paper_artifact.report.published import published
 from paper_artifact.report.runs import Collected, collect, dump_table
-from paper_artifact.report.staircase import surface
+from paper_artifact.scene.find import surface
 from paper_artifact.study.studies import study_configs
 from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text, tails_text
 from paper_artifact.study.verdict import rows_of, verdict, welch_sigma

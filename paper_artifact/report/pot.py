@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from trimesh.intersections import slice_faces_plane
 
 from paper_artifact.audit.audit import Audit
+from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate
 from paper_artifact.evaluate.diagram import lifetimes
+from paper_artifact.evaluate.staircase import measure
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest.inventory import inventory, shells_as_indexed
 from paper_artifact.ingest.solidify import Solid
@@ -23,8 +25,7 @@ from paper_artifact.report.figures import image_rows
 from paper_artifact.report.published import published
 from paper_artifact.report.render import CUT, render_flat
 from paper_artifact.report.runs import Collected
-from paper_artifact.report.staircase import measure, signature_table, staircase
-from paper_artifact.catalogue import protocol_of
+from paper_artifact.report.staircase import signature_table, staircase
 from paper_artifact.study.tables import counts_text
 from paper_artifact.study.verdict import Arm, rows_of, verdict
 
@@ -141,7 +142,7 @@ def void_table(mesh: Mesh, samples: int = WORKING, seeds: Sequence[int] = SEEDS)
 def decision_text(audit: Audit) -> str:
     """Return the audit's decision as lines: class, density, dimensions of the loss, the rule's steps, and whether the study's
     protocol of the pot is the same."""
-    decision, protocol = audit.decision, protocol_of("pot")
+    decision, protocol = audit.decision, shape_row("pot")
     same = (decision.samples, decision.dimensions) == (protocol.samples, protocol.dimensions)
     bars = audit.bundle.to_json()["bars"] if audit.bundle else []
     head = f"class H{decision.dimension}, M = {decision.samples}, the loss acts on {decision.dimensions}"

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pandas as pd
 
+from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
-from paper_artifact.record.store import config_hash, find_records, record_path
-from paper_artifact.train.config import RunConfig, default_config
-from paper_artifact.pipeline import find_mesh, run, with_condition
+from paper_artifact.pipeline import run
+from paper_artifact.record.store import config_of, find_records, record_path
+from paper_artifact.scene.find import find_mesh
 
 RETRAINED = RESULTS / "retrained"
 Run = tuple[str, str, int]  # shape, condition, seed
@@ -37,12 +38,6 @@ class Collected:
         )
 
 
-def study_config(shape: str, condition: str = "C0", seed: int = 0) -> RunConfig:
-    """Return the study's full configuration of one run, with the condition's parameters written out as `train.run` records
-    them."""
-    return with_condition(default_config(shape, condition=condition, seed=seed), None)
-
-
 def collect(
     wanted: Iterable[Run],
     profile: str = "recorded",
@@ -61,11 +56,11 @@ def collect(
         )
     if profile != "recorded":
         raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
-    stored = {record["config_hash"]: record for record in find_records(folder)}
+    stored = {config_of(record): record for record in find_records(folder)}
     found, missing = [], []
     for each in wanted:
-        record = stored.get(config_hash(study_config(*each)))
-        if record is not None and record["status"] == "done":
+        record = stored.get(study_config(*each))
+        if record is not None:
             found.append(record)
         else:
             missing.append(each)
@@ -100,7 +95,7 @@ def command(shape: str, condition: str, seed: int) -> str:
 
 def soup_path(record: Mapping, results: Path = RESULTS) -> Path:
     """Return where `train.run` with this results folder keeps the trained soup of `record`."""
-    return results / "soups" / f"{record_path(record['config'], results / 'runs').stem}.npz"
+    return results / "soups" / f"{record_path(config_of(record), results / 'runs').stem}.npz"
 
 
 def dump_table(records: Iterable[Mapping]) -> pd.DataFrame:

@@ -7,37 +7,21 @@ Bars, lifetimes and floors are radii divided by the surface's bounding-box diago
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.evaluate.diagram import Diagram, diagram_of, lifetimes
+from paper_artifact.evaluate.staircase import KEPT, MULTIPLIER, longest, measure
 from paper_artifact.mesh import Mesh, face_areas
-from paper_artifact.randomness import stream
 from paper_artifact.report.figures import new_figure
 from paper_artifact.report.published import published
-from paper_artifact.sampling import sample_surface
+from paper_artifact.scene.find import surface
 from paper_artifact.scene.shapes import SHAPES
-from paper_artifact.topology.floor import measurement_floor, uniform_spacing
+from paper_artifact.topology.floor import uniform_spacing
 
-MULTIPLIER = 6.0
 DENSITIES = (512, 1024, 2048, 4096, 8192, 20_000)
 SEEDS = (0, 1, 2, 3, 4)
-KEPT = 4  # longest bars kept per dimension: no surface of the study has more classes than that
-
-
-def measure(mesh: Mesh, samples: int, seed: int) -> tuple[Diagram, float]:
-    """Return (diagram, floor) of `samples` area-weighted points of the mesh, exactly the bundle's points for this seed."""
-    points = sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, "bundle-samples"))[0]
-    return diagram_of(points, mesh.diagonal), measurement_floor(points, mesh.diagonal, MULTIPLIER)
-
-
-def longest(bars: np.ndarray, count: int = KEPT) -> np.ndarray:
-    """Return the `count` longest lifetimes of the bars (k,2), longest first, filled up with 0."""
-    lengths = np.sort(lifetimes(bars))[::-1][:count]
-    return np.pad(lengths, (0, count - len(lengths)))
 
 
 def staircase(mesh: Mesh, densities: Iterable[int], seeds: Iterable[int]) -> pd.DataFrame:
@@ -88,14 +72,6 @@ def _agreeing(values: pd.Series) -> str:
         .sort_values(ascending=False, kind="stable")
         .items()
     )
-
-
-@lru_cache(maxsize=None)
-def surface(shape: str) -> Mesh:
-    """Return the mesh of a shape (see `train.run.find_mesh`), read once per process."""
-    from paper_artifact.pipeline import find_mesh  # the trainer: only when a name has to be resolved
-
-    return find_mesh(shape)
 
 
 def measure_all(

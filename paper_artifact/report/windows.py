@@ -13,11 +13,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.evaluate.diagram import lifetimes
+from paper_artifact.evaluate.staircase import MULTIPLIER, measure
 from paper_artifact.report.figures import new_figure
 from paper_artifact.report.published import published
-from paper_artifact.report.staircase import MULTIPLIER, measure, surface
-from paper_artifact.catalogue import protocol_of
+from paper_artifact.scene.find import surface
 
 # Finite classes (H0, H1, H2) per shape. The external meshes' genera are certified; a bowl has no class of its own but reads as
 # a void with a rim.
@@ -50,7 +51,7 @@ def margin_table(shapes: Iterable[str] = tuple(FEATURES), seeds: Iterable[int] =
     """
     rows = []
     for shape in shapes:
-        protocol = protocol_of(shape)
+        protocol = shape_row(shape)
         for seed in seeds:
             diagram, floor = measure(surface(shape), protocol.samples, seed)
             for dimension, count in enumerate(FEATURES[shape]):
@@ -65,7 +66,7 @@ def margin_table(shapes: Iterable[str] = tuple(FEATURES), seeds: Iterable[int] =
                         "rank": rank + 1,
                         "margin": margin,
                         "in": bool(acts and margin > 1),
-                        "bundle": seed == protocol.seed,
+                        "bundle": seed == protocol.bundle_seed,
                     }
                     for rank, margin in enumerate(margins)
                 ]
@@ -101,7 +102,7 @@ def median_margins(margins: pd.DataFrame) -> pd.DataFrame:
     keys = ["shape", "M", "dimension", "rank"]
     table = margins.groupby(keys, sort=False)["margin"].median().reset_index().assign(seed=MEDIAN)
     acts = [
-        protocol_of(shape).dimensions is None or dimension in protocol_of(shape).dimensions
+        shape_row(shape).dimensions is None or dimension in shape_row(shape).dimensions
         for shape, dimension in zip(table["shape"], table["dimension"])
     ]
     return table.assign(**{"in": np.array(acts) & (table["margin"] > 1)})

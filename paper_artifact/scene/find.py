@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from paper_artifact.errors import InputError
@@ -36,3 +37,9 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, a key of `python -m paper_artifact fetch --list`, "
         "or the path of a mesh file"
     )
+
+
+@lru_cache(maxsize=None)
+def surface(shape: str) -> Mesh:
+    """Return the mesh of a name as `find_mesh` does, read once per process."""
+    return find_mesh(shape)

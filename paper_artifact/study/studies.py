@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from paper_artifact.catalogue import study_config
+from paper_artifact.config import RunConfig
 from paper_artifact.errors import InputError
-from paper_artifact.train.config import RunConfig, default_config
 
 Block = tuple[tuple[str, ...], tuple[str, ...], range]  # shapes, conditions, seeds
 
@@ -49,7 +50,7 @@ def study_configs(
                 f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}"
             )
     configs = [
-        default_config(shape, condition=condition, seed=seed)
+        study_config(shape, condition=condition, seed=seed)
         for block_shapes, block_conditions, block_seeds in STUDIES[name]
         for seed in block_seeds
         for shape in block_shapes

@@ -7,16 +7,16 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 from typing import Callable, Iterator
 
+from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
-from paper_artifact.record.store import read_record, record_path, write_record
+from paper_artifact.record.store import read_record, recorded_path, write_record
+from paper_artifact.scene.find import find_mesh
 from paper_artifact.study.worker import failure_of, start_run
-from paper_artifact.train.config import RunConfig
-from paper_artifact.pipeline import find_mesh, with_condition
 
 
 @dataclass(frozen=True)
@@ -28,21 +28,15 @@ class Outcome:
     failure: str | None
 
 
-def complete(configs: list[RunConfig]) -> list[RunConfig]:
-    """Return the configurations with their conditions written out (see `with_condition`); meshes are loaded once per shape."""
-    meshes = {shape: find_mesh(shape) for shape in dict.fromkeys(config.shape for config in configs)}
-    return [with_condition(config, meshes[config.shape]) for config in configs]
-
-
 def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
     """Return those without a record in results/runs. A damaged record raises InputError: it is never silently overwritten."""
     todo = []
     for config in configs:
-        path = record_path(config, results / "runs")
-        if path.is_file():
-            read_record(path)
-        else:
+        path = recorded_path(config, results / "runs")
+        if path is None:
             todo.append(config)
+        else:
+            read_record(path)
     return todo
 
 
@@ -91,7 +85,7 @@ def run_processes(todo: list[RunConfig], results: Path, workers: int, device: st
             with lock:  # no child may start unseen while the others are being stopped
                 if stopping.is_set():
                     return Outcome(config, 0.0, "not started: the sweep was stopped")
-                child = start_run(asdict(config), results, device)
+                child = start_run(config_values(config), results, device)
                 children.add(child)
             failure = failure_of(child)
             children.discard(child)
@@ -136,7 +130,9 @@ def run_dask(todo: list[RunConfig], results: Path, client, device: str) -> Itera
 
     from paper_artifact.study.remote import remote_run
 
-    futures = {client.submit(remote_run, asdict(config), device, pure=False): config for config in todo}
+    futures = {
+        client.submit(remote_run, config_values(config), device, pure=False): config for config in todo
+    }
     for future in dask_as_completed(list(futures)):
         seconds, failure = 0.0, None
         try:
@@ -162,7 +158,9 @@ def sweep(
     """
     if workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}")
-    todo = missing(complete(configs), results)
+    for shape in dict.fromkeys(config.shape for config in configs):
+        find_mesh(shape)  # a mesh that cannot be had is told before any run starts
+    todo = missing(configs, results)
     outcomes: list[Outcome] = []
     with connect(scheduler) if scheduler and todo else nullcontext() as client:
         if client is not None:

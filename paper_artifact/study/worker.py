@@ -48,20 +48,11 @@ def failure_of(child: subprocess.Popen) -> str | None:
     return lines[-1] if child.returncode else None
 
 
-def config_from(values: dict):
-    """Return the RunConfig of a dict that went through JSON (lists back to tuples)."""
-    from paper_artifact.train.config import RunConfig
-
-    def tuples(value):
-        return tuple(tuples(item) for item in value) if isinstance(value, list) else value
-
-    return RunConfig(**{name: tuples(value) for name, value in values.items()})
-
-
 def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
     """Run the configuration (a dict) and return its record; one CPU thread."""
     import torch
 
+    from paper_artifact.config import config_from
     from paper_artifact.pipeline import run
 
     torch.set_num_threads(1)
@@ -74,7 +65,7 @@ def main() -> int:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"
     from paper_artifact.errors import InputError
-    from paper_artifact.train.loop import TrainingError
+    from paper_artifact.train.state import TrainingError
 
     try:
         run_one(json.loads(sys.argv[1]), sys.argv[2], sys.argv[3])

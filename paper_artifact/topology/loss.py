@@ -9,35 +9,33 @@ Paper §3: L_topo of births and deaths (radius / diagonal, dimensionless) under 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from torch import Tensor
 
+from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
-from paper_artifact.randomness import stream
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.plan import Plan, PlanOptions, build_plan
+from paper_artifact.topology.cloud import check_cloud, noisy
+from paper_artifact.topology.plan import Plan, build_plan
 
 
 class TopologyLoss:
     """Matched persistence loss of M points against a bundle.
 
-    refresh_every: calls between two refreshes of the plan (the paper's K = 10; 0: only `refresh` makes one). noise: standard
-    deviation, as a fraction of the diagonal, of the Gaussian noise that only the plan sees (C7: .005, C7h: .01). seed: of that
-    noise. Further options: `PlanOptions`. Raises InputError for an unknown option or fallback "denser", which needs a surface.
+    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for example
+    refresh_every=0 (only `refresh` makes a plan) or noise=.005. Raises InputError for an unknown setting, one out of range, or the
+    fallback "denser", which needs a surface.
     """
 
-    def __init__(
-        self, bundle: Bundle, *, refresh_every: int = 10, noise: float = 0.0, seed: int = 0, **options
-    ) -> None:
-        self.bundle = bundle
-        self.options = PlanOptions(**options)
-        if self.options.fallback == "denser":
+    def __init__(self, bundle: Bundle, *, seed: int = 0, **settings: Any) -> None:
+        self.bundle, self.seed = bundle, seed
+        self.config = with_changes(LossConfig(samples=bundle.samples), settings)
+        if self.config.fallback == "denser":
             raise InputError(
                 "the fallback 'denser' samples a surface again, and raw points have none; choose another fallback"
             )
-        if not noise >= 0 or refresh_every < 0:
-            raise InputError(f"noise and refresh_every must not be negative, got {noise} and {refresh_every}")
-        self.refresh_every, self.noise, self.seed = refresh_every, noise, seed
         self.plan: Plan | None = None
         self._calls = self._refreshes = 0
 
@@ -46,11 +44,11 @@ class TopologyLoss:
 
         Raises InputError when M is not the bundle's, for fewer than 4 points, or for a coordinate that is not finite.
         """
-        cloud = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
-        cloud = check_cloud(cloud, self.bundle)
-        self.plan = build_plan(
-            noisy(cloud, self.noise, self.seed, self._refreshes), self.bundle, self.options
+        cloud = check_cloud(
+            points.detach().cpu().numpy() if isinstance(points, Tensor) else points, self.bundle
         )
+        seen = noisy(cloud, self.config.noise, self.seed, self._refreshes)
+        self.plan = build_plan(seen, self.bundle, self.config)
         self._refreshes += 1
         self._calls = 0
         return self.plan
@@ -64,44 +62,15 @@ class TopologyLoss:
             raise InputError(
                 f"the loss needs floating-point points of shape (M, 3), got {points.dtype} {tuple(points.shape)}"
             )
-        if self.plan is None or (self.refresh_every and self._calls >= self.refresh_every):
-            if self.plan is None and not self.refresh_every:
-                raise InputError("no plan yet: call refresh(points) first, or give refresh_every > 0")
-            self.refresh(points)
+        every, plan = self.config.refresh_every, self.plan
+        if plan is None and not every:
+            raise InputError("no plan yet: call refresh(points) first, or give refresh_every > 0")
+        if plan is None or (every and self._calls >= every):
+            plan = self.refresh(points)
         self._calls += 1
-        if len(points) != self.plan.samples:
+        if len(points) != plan.samples:
             raise InputError(
-                f"the plan was made on {self.plan.samples} points, got {len(points)}; call refresh(points)"
+                f"the plan was made on {plan.samples} points, got {len(points)}; call refresh(points)"
             )
-        used = points[self.plan.used.to(points.device)].cpu().double() / self.bundle.diagonal
-        return self.plan.value(used).to(device=points.device, dtype=points.dtype)
-
-
-def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
-    """Return `cloud` (M,3), world units, as float64 divided by the bundle's diagonal.
-
-    Raises InputError for another density than the bundle's, fewer than 4 points, coplanar points, or NaN.
-    """
-    cloud = np.asarray(cloud, dtype=np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < 4:
-        raise InputError(
-            f"the loss needs at least 4 points of shape (M, 3), got {cloud.shape}; draw more samples"
-        )
-    if not np.isfinite(cloud).all():
-        raise InputError(
-            "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
-        )
-    bundle.require_density(len(cloud))
-    spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
-    if spread[-1] <= 1e-12 * spread[0]:
-        raise InputError(
-            "all live points lie in one plane: no alpha complex in space; check the geometry the samples come from"
-        )
-    return cloud / bundle.diagonal
-
-
-def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
-    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of (seed, counter)."""
-    if noise == 0:
-        return cloud
-    return cloud + noise * stream(seed, "topology-noise", counter).standard_normal(cloud.shape)
+        used = points[plan.used.to(points.device)].cpu().double() / self.bundle.diagonal
+        return plan.value(used).to(device=points.device, dtype=points.dtype)

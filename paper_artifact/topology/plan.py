@@ -18,35 +18,15 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from paper_artifact.errors import InputError
-from paper_artifact.topology.bundle import Bundle
 from paper_artifact.alpha.circumradius import radius_and_gradient
+from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
+from paper_artifact.config import LossConfig
+from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.curvature import pair_weights
 from paper_artifact.topology.floor import measurement_floor, significant
-from paper_artifact.alpha.gabriel import FALLBACKS, coface_of_value, passes_gate
 from paper_artifact.topology.matching import match_bars, recruit
 
 KINDS = ("matched", "recruited", "diagonal")
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """How a plan is made. recruitment: off is condition C6; floor_source: "bundle" or "live"; fallback: see `gabriel`;
-    method: see `alpha_persistence`; curvature_weighted: condition C4. Raises InputError for an unknown word."""
-
-    recruitment: bool = True
-    floor_source: str = "bundle"
-    fallback: str = "detach"
-    method: str = "fast"
-    curvature_weighted: bool = False
-
-    def __post_init__(self) -> None:
-        if self.floor_source not in ("bundle", "live"):
-            raise InputError(f"unknown floor source {self.floor_source!r}; choose 'bundle' or 'live'")
-        if self.fallback not in FALLBACKS:
-            raise InputError(
-                f"unknown Gabriel fallback {self.fallback!r}; choose one of {', '.join(FALLBACKS)}"
-            )
 
 
 @dataclass(frozen=True)
@@ -183,7 +163,7 @@ def _compile(terms: tuple[Term, ...]) -> tuple[np.ndarray, _Arrays]:
     )
 
 
-def build_plan(cloud: np.ndarray, bundle: Bundle, options: PlanOptions = PlanOptions()) -> Plan:
+def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig = LossConfig()) -> Plan:
     """Make the plan of a live `cloud` (M,3) float64, divided by the bundle's diagonal: persistence, matching, recruitment, gate.
 
     Only the bundle's dimensions enter. Raises what `alpha_persistence` raises for its points.
@@ -191,29 +171,29 @@ def build_plan(cloud: np.ndarray, bundle: Bundle, options: PlanOptions = PlanOpt
     from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     live_floor = measurement_floor(cloud, 1.0, bundle.floor_multiplier)
-    floor = bundle.floor if options.floor_source == "bundle" else live_floor
-    pairs = alpha_persistence(cloud, method=options.method)
+    floor = bundle.floor if config.floor_source == "bundle" else live_floor
+    pairs = alpha_persistence(cloud, method=config.method)
     terms, failing, dimensions = [], [], {}
     for dimension in bundle.dimensions:
         made, failed, report = _plan_dimension(
-            cloud, pairs[dimension], bundle.bars[dimension], floor, dimension, options
+            cloud, pairs[dimension], bundle.bars[dimension], floor, dimension, config
         )
         terms += made
         failing += failed
         dimensions[str(dimension)] = report
-    if options.curvature_weighted and terms:
+    if config.curvature_weighted and terms:
         weights = pair_weights(cloud, [term.birth_simplex + term.death_simplex for term in terms])
         terms = [Term(**{**vars(term), "weight": float(w)}) for term, w in zip(terms, weights, strict=True)]
     report = {"floor": floor, "live_floor": live_floor, "samples": len(cloud), "dimensions": dimensions}
     return Plan(tuple(terms), len(cloud), report, tuple(failing))
 
 
-def _plan_dimension(cloud, pairs, target, floor, dimension, options):
+def _plan_dimension(cloud, pairs, target, floor, dimension, config):
     """Return (terms, failing simplices, report) of one dimension; target (m,2)."""
     bars = np.column_stack([pairs.births, pairs.deaths])
     simplices = (pairs.birth_simplices, pairs.death_simplices)
     dropped = 0
-    if options.fallback == "drop":
+    if config.fallback == "drop":
         keep = _sound(cloud, simplices, bars)
         dropped = int((~keep & significant(bars, floor)).sum())
         bars, simplices = bars[keep], tuple(each[keep] for each in simplices)
@@ -223,7 +203,7 @@ def _plan_dimension(cloud, pairs, target, floor, dimension, options):
     claims = [(int(live[i]), int(j), "matched") for i, j in matching.matched]
     left = live[matching.unmatched_live]
     missing = matching.unmatched_target
-    if options.recruitment and len(missing):
+    if config.recruitment and len(missing):
         pool = np.concatenate([left, np.flatnonzero(~is_significant)])
         recruited = [
             (int(pool[k]), int(missing[j]), "recruited") for k, j in recruit(bars[pool], target[missing])
@@ -238,7 +218,7 @@ def _plan_dimension(cloud, pairs, target, floor, dimension, options):
         pair = [tuple(each[row].tolist()) for each in simplices]
         if not passed:
             unsound += 1
-            pair, passed = _repair(cloud, pair, bars[row], options.fallback, failed)
+            pair, passed = _repair(cloud, pair, bars[row], config.fallback, failed)
         terms.append(
             Term(
                 dimension,

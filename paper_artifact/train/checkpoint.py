@@ -1,95 +1,73 @@
 """Checkpoints: all that a run needs to go on to the same bits, written atomically right after a resampling.
 
-Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be stored; the MLP's
-optimiser and the term's own state are.
+Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be stored; the MLP's moments
+and the term's own state are.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
 
+from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
 from paper_artifact.soup.state import Soup
-from paper_artifact.train.config import RunConfig
+from paper_artifact.train.state import TrainState, soup_optimisers
+from paper_artifact.train.term import LossTerm
 
-FORMAT = 1
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A run's state after `step` (1-based) and its history so far."""
-
-    step: int
-    soup: Soup
-    shading_optimiser: dict
-    losses: list[float]
-    dumps: list[dict]
-    resamplings: list[dict]
-    seconds: dict[str, float]
-    term: dict
+FORMAT = 2
+HISTORY = (
+    "step",
+    "losses",
+    "dumps",
+    "resamplings",
+    "seconds",
+)  # fields of the state that are stored as they are
 
 
-def write_checkpoint(
-    path: Path,
-    config: RunConfig,
-    step: int,
-    soup: Soup,
-    shading_optimiser: dict,
-    result,
-    seconds: dict[str, float],
-    term: dict,
-) -> None:
-    """Write the state after `step`, atomically. Raises InputError when the folder is not writable."""
-    state = {
+def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend) -> None:
+    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not writable."""
+    soup = backend.to_host(state.soup)
+    saved = {name: getattr(state, name) for name in HISTORY} | {
         "format": FORMAT,
-        "config": repr(sorted(asdict(config).items())),
-        "step": step,
-        "soup": [
-            soup.vertices.detach(),
-            soup.features.detach(),
-            soup.opacity.detach(),
-            *(tensor.detach() for tensor in soup.mlp),
-        ],
-        "shading_optimiser": shading_optimiser,
-        "losses": list(result.losses),
-        "dumps": list(result.dumps),
-        "resamplings": list(result.resamplings),
-        "seconds": seconds,
-        "term": term,
+        "config": _text(config),
+        "soup": [tensor.detach() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)],
+        "mlp_optimiser": state.optimisers["mlp"].state_dict(),
+        "term": term.state(),
     }
     with atomic_path(path) as temporary:
-        torch.save(state, temporary)
+        torch.save(saved, temporary)
 
 
-def read_checkpoint(path: Path, config: RunConfig) -> Checkpoint | None:
-    """Return the checkpoint at `path`, or None when there is none.
+def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend) -> TrainState | None:
+    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no such file.
 
-    Raises InputError when the file is damaged or belongs to another configuration.
+    The term takes over its own state. Raises InputError when the file is damaged or belongs to another configuration.
     """
-    if not path.is_file():
+    if path is None or not path.is_file():
         return None
     try:
-        state = torch.load(path, weights_only=True, map_location="cpu")
-        saved_config, version = state["config"], state["format"]
-        tensors = state["soup"]
-        saved = Checkpoint(
-            int(state["step"]),
-            Soup(tensors[0], tensors[1], tensors[2], tuple(tensors[3:])).trainable(),
-            *(
-                state[name]
-                for name in ("shading_optimiser", "losses", "dumps", "resamplings", "seconds", "term")
-            ),
-        )
+        saved = torch.load(path, weights_only=True, map_location="cpu")
+        version, saved_config, tensors = saved["format"], saved["config"], saved["soup"]
+        history = {name: saved[name] for name in HISTORY}
+        soup = Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        moments, term_state = saved["mlp_optimiser"], saved["term"]
     except Exception as error:  # torch.load raises many kinds for a damaged file
         raise InputError(
             f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew"
         ) from error
-    if version != FORMAT or saved_config != repr(sorted(asdict(config).items())):
+    if version != FORMAT or saved_config != _text(config):
         raise InputError(
             f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
         )
-    return saved
+    soup = backend.to_device(soup)
+    state = TrainState(soup=soup, optimisers=soup_optimisers(soup), resumed_at=history["step"], **history)
+    state.optimisers["mlp"].load_state_dict(moments)
+    term.load_state(term_state)
+    return state
+
+
+def _text(config: RunConfig) -> str:
+    return repr(sorted(config_values(config).items()))

@@ -1,0 +1,39 @@
+"""The live cloud as the loss sees it: checked, divided by the bundle's diagonal, and with noise where a condition asks for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
+from paper_artifact.topology.bundle import Bundle
+
+
+def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
+    """Return `cloud` (M,3), world units, as float64 divided by the bundle's diagonal.
+
+    Raises InputError for another density than the bundle's, fewer than 4 points, coplanar points, or NaN.
+    """
+    cloud = np.asarray(cloud, dtype=np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < 4:
+        raise InputError(
+            f"the loss needs at least 4 points of shape (M, 3), got {cloud.shape}; draw more samples"
+        )
+    if not np.isfinite(cloud).all():
+        raise InputError(
+            "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
+        )
+    bundle.require_density(len(cloud))
+    spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
+    if spread[-1] <= 1e-12 * spread[0]:
+        raise InputError(
+            "all live points lie in one plane: no alpha complex in space; check the geometry the samples come from"
+        )
+    return cloud / bundle.diagonal
+
+
+def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
+    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of (seed, counter)."""
+    if noise == 0:
+        return cloud
+    return cloud + noise * stream(seed, "topology-noise", counter).standard_normal(cloud.shape)
