@@ -15,6 +15,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from paper_artifact.errors import InputError
 from paper_artifact.raster.lanes import (
     WIDTH,
     absolute,
@@ -176,7 +177,7 @@ def photometric_view(colour, target, views, gradient, error):
     """Return one view's share of the loss (already divided by `views`) and write its gradient and its error image.
 
     colour (3,H,W) float32, target (3,H,W) float32 or uint8 (255 is 1), H and W at least 11; overwritten are gradient (3,H,W)
-    float32 with dL/dcolour and error (H·W,) float32 with the sum over channels of |colour - target|.
+    float32 with dL/dcolour and error (at least H·W,) float32 with the sum over channels of |colour - target|.
     """
     height, width = colour.shape[1], colour.shape[2]
     gradient[:] = np.float32(0.0)
@@ -269,3 +270,18 @@ def photometric_view(colour, target, views, gradient, error):
                     store_part(error, start, load_part(error, start, count) + apart, count)
             distance += total(pair_distance)
     return 0.5 * SSIM_WEIGHT * missing / windows + l1_scale * distance
+
+
+def make_target(image: np.ndarray) -> np.ndarray:
+    """Return the target of an image (3,H,W) in [0,1] as the kernel takes it: uint8 where that loses nothing, else float32.
+
+    Raises InputError below 11×11 pixels.
+    """
+    _, height, width = image.shape
+    if min(height, width) < TAPS:
+        raise InputError(
+            f"an image needs at least {TAPS} × {TAPS} pixels, got {height} × {width}; render it larger"
+        )
+    image = np.ascontiguousarray(image, np.float32)
+    levels = np.rint(255 * image).astype(np.uint8)
+    return levels if np.array_equal(levels / np.float32(255), image) else image

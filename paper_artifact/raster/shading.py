@@ -13,6 +13,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from paper_artifact.raster.arrays import FEATURES, HIDDEN, INPUTS
 from paper_artifact.raster.lanes import (
     WIDTH,
     evens,
@@ -39,8 +40,7 @@ from paper_artifact.raster.lanes import (
     zip_low,
 )
 
-FEATURES, INPUTS, HIDDEN = 7, 16, 16
-PADDED = 8  # features of a corner as the kernels take them: one place more, 0
+_PADDED = 8  # places of a corner's features: one more than there are
 _H1, _H2, _Y = INPUTS, INPUTS + HIDDEN, INPUTS + 2 * HIDDEN
 ROWS = _Y + 3  # kept per sixteen fragments: inputs x, hidden layers h1 and h2, outputs y
 _BLOCK = 8  # sixteens whose products the weight gradients take together
@@ -63,9 +63,19 @@ def _sigmoid(x):
     return fma(0.5 * t, p / q, 0.5)
 
 
+@numba.njit(cache=True, nogil=True)
+def _padded(features):
+    out = np.zeros((len(features), 3, _PADDED), np.float32)
+    for t in range(len(features)):
+        for corner in range(3):
+            for f in range(FEATURES):
+                out[t, corner, f] = features[t, corner, f]
+    return out
+
+
 @inlined
 def _one_pixel(t, b0, b1, features):
-    at, b2 = t * 3 * PADDED, np.float32(1.0) - b0 - b1
+    at, b2 = t * 3 * _PADDED, np.float32(1.0) - b0 - b1
     return fma(b0, load8(features, at), fma(b1, load8(features, at + 8), b2 * load8(features, at + 16)))
 
 
@@ -199,15 +209,16 @@ def _activate(pixel, triangle, b0, b1, k, width, height, rays, features, w1, c1,
 def shade_forward(shown, covered, rays, features, mlp, colour):
     """Shade the visible fragments of one view into colour (3,H,W) float32, which comes in filled with the background.
 
-    shown: the first `covered` of it (see `visibility.Shown`); rays (3,3) float32 (see `_harmonics`); features (T,3,PADDED)
+    shown: the first `covered` of it (see `visibility.Shown`); rays (3,3) float32 (see `_harmonics`); features (T,3,7)
     float32 in [0,1]; mlp: six arrays as torch.nn.Linear has them.
     """
     pixel, triangle, b0, b1 = shown
     w1, c1, w2, c2, w3, c3 = mlp
     height, width = colour.shape[1], colour.shape[2]
+    padded = _padded(features)
     kept = np.empty((ROWS, WIDTH), np.float32)
     for k in range(0, covered, WIDTH):
-        _activate(pixel, triangle, b0, b1, k, width, height, rays, features, w1, c1, w2, c2, w3, c3, kept, 0)
+        _activate(pixel, triangle, b0, b1, k, width, height, rays, padded, w1, c1, w2, c2, w3, c3, kept, 0)
         where, lanes, blend = load(pixel, k), first(covered - k), load(kept, 3 * WIDTH)
         for c in range(3):
             y, base = load(kept, (_Y + c) * WIDTH), load(kept, c * WIDTH)
@@ -263,7 +274,7 @@ _DELTAS = _D1 + HIDDEN  # rows of lanes: dL/d of the outputs and of both hidden 
 
 @inlined
 def _flush(gradient, t, g0, g1, g2):
-    at = t * 3 * PADDED
+    at = t * 3 * _PADDED
     _add8(gradient, at, g0)
     _add8(gradient, at + 8, g1)
     _add8(gradient, at + 16, g2)
@@ -293,7 +304,7 @@ def _feature_deltas(w1, deltas, delta, keep, g, by_blend):
 
 @numba.njit(cache=True, nogil=True)
 def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature_gradient, mlp_gradient):
-    """Add one view's dL/d(features, MLP) to feature_gradient (T,3,PADDED) and to the six arrays of mlp_gradient, float32.
+    """Add one view's dL/d(features, MLP) to feature_gradient (T,3,7) and to the six arrays of mlp_gradient, float32.
 
     colour_gradient (3,H,W) float32; the rest as in `shade_forward`.
     """
@@ -302,19 +313,20 @@ def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature
     gw1, gc1, gw2, gc2, gw3, gc3 = mlp_gradient
     height, width = colour_gradient.shape[1], colour_gradient.shape[2]
     size = height * width
+    padded, padded_gradient = _padded(features), np.zeros((len(features), 3, _PADDED), np.float32)
     kept = np.empty((_BLOCK, ROWS, WIDTH), np.float32)
     deltas = np.zeros((_BLOCK, _DELTAS, WIDTH), np.float32)
     sums1 = np.zeros((HIDDEN, INPUTS, WIDTH), np.float32)
     sums2 = np.zeros((HIDDEN, HIDDEN, WIDTH), np.float32)
     sums3 = np.zeros((4, HIDDEN, WIDTH), np.float32)
     biases = np.zeros((_DELTAS, WIDTH), np.float32)
-    by_fragment = np.zeros((WIDTH, PADDED), np.float32)
+    by_fragment = np.zeros((WIDTH, _PADDED), np.float32)
     current, g0, g1, g2 = 0, splat8(0.0), splat8(0.0), splat8(0.0)
     for begin in range(0, covered, WIDTH * _BLOCK):
         some = min(_BLOCK, (covered - begin + WIDTH - 1) // WIDTH)
         for n in range(some):
             k, at, delta = begin + n * WIDTH, n * WIDTH * ROWS, n * _DELTAS * WIDTH
-            _activate(pixel, triangle, b0, b1, k, width, height, rays, features, w1, c1, w2, c2, w3, c3, kept, at)
+            _activate(pixel, triangle, b0, b1, k, width, height, rays, padded, w1, c1, w2, c2, w3, c3, kept, at)
             where, lanes, blend = load(pixel, k), first(covered - k), load(kept, at + 3 * WIDTH)
             g = (
                 gather(colour_gradient, where, lanes),
@@ -334,9 +346,9 @@ def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature
             for p in range(min(WIDTH, covered - k)):
                 t = triangle[k + p]
                 if t != current:
-                    _flush(feature_gradient, current, g0, g1, g2)
+                    _flush(padded_gradient, current, g0, g1, g2)
                     current, g0, g1, g2 = t, splat8(0.0), splat8(0.0), splat8(0.0)
-                value = load8(by_fragment, p * PADDED)
+                value = load8(by_fragment, p * _PADDED)
                 g0 = fma(b0[k + p], value, g0)
                 g1 = fma(b1[k + p], value, g1)
                 g2 = fma(np.float32(1.0) - b0[k + p] - b1[k + p], value, g2)
@@ -349,7 +361,11 @@ def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature
                 s += load(deltas, (n * _DELTAS + row) * WIDTH)
             store(biases, row * WIDTH, s)
     if covered:
-        _flush(feature_gradient, current, g0, g1, g2)
+        _flush(padded_gradient, current, g0, g1, g2)
+    for t in range(len(features)):
+        for corner in range(3):
+            for f in range(FEATURES):
+                feature_gradient[t, corner, f] += padded_gradient[t, corner, f]
     for o in range(HIDDEN):
         gc1[o] += total(load(biases, (_D1 + o) * WIDTH))
         gc2[o] += total(load(biases, (_D2 + o) * WIDTH))
