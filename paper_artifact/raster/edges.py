@@ -1,10 +1,12 @@
-"""The edge gradient on the CPU: what moving a triangle's corners does to the image at its borders.
+"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as DiffSoup extends it).
 
-Edge gradient (DRTK's EdgeGrad as DiffSoup extends it): for each pair of neighbouring pixels with adjoint
-a = sum over channels of ½(g0 + g1)(c0 - c1), a pull g in NDC acts at a point m of a triangle. With mu_i = lambda_i / w_i (affine
-in pixels) its effect on the clip-space corners is d xyz_i += g·mu_i(m), d w_i -= (g·m_ndc)·mu_i(m), whatever the kind of edge: so
-each pull only adds to twelve moments of its triangle (sums of g and of s = g·m_ndc, times 1, column, row), and the corners are
-served once per triangle at the end.
+For each visible pixel p and each of its four neighbours q, with adjoint a = sum over channels of ½(g_p + g_q)(c_p - c_q), a pull acts
+on p's triangle at a point m between the two: in the middle where the triangle goes on to q, at its border where it ends before, and
+not at all where another triangle is in front there. With mu_i = lambda_i / w_i (affine in pixels) a pull (gx, gy, gz) in NDC moves
+the clip-space corner i by mu_i(m) · (gx, gy, gz, -g·m). The visible pixels of a triangle are served together, sixteen at a
+time, and its sums stay in registers until it is done.
+
+A pair inside one triangle is met from both its pixels and counts twice, as in DiffSoup.
 """
 
 from __future__ import annotations
@@ -12,206 +14,257 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    bits,
+    first,
+    floor,
+    fma,
+    gather,
+    inlined,
+    load,
+    load_part,
+    maximum,
+    popcount,
+    select,
+    splat,
+    store,
+    store_part,
+    to_float,
+    total,
+    trailing_zeros,
+)
 
-@numba.njit(inline="always")
-def _pull(moments, rectangles, t, column, row, gx, gy, gz, z, sx, sy):
-    x, y = column - rectangles[t, 2], row - rectangles[t, 0]
-    s = gx * ((column + 0.5) * sx - 1.0) + gy * ((row + 0.5) * sy - 1.0) + gz * z
-    moments[t, 0] += gx
-    moments[t, 1] += gx * x
-    moments[t, 2] += gx * y
-    moments[t, 3] += gy
-    moments[t, 4] += gy * x
-    moments[t, 5] += gy * y
-    moments[t, 6] += gz
-    moments[t, 7] += gz * x
-    moments[t, 8] += gz * y
-    moments[t, 9] += s
-    moments[t, 10] += s * x
-    moments[t, 11] += s * y
+
+@numba.njit(cache=True, nogil=True)
+def edge_adjoints(colour, gradient, adjoints):
+    """Fill adjoints (2,H+1,W) float32, which must have been zeros at first: for the pixel (row, column) stands at [0, row + 1, column]
+    its adjoint with the right neighbour (in the last column: rubbish), at [1, row + 1, column] that with the lower one (in the last
+    row: 0). colour and gradient (dL/dcolour) (3,H,W) float32."""
+    height, width = colour.shape[1], colour.shape[2]
+    size = height * width
+    for axis in range(2):
+        step, first_of = (width if axis else 1), (axis * (height + 1) + 1) * width
+        for p in range(0, size - step, WIDTH):
+            count, sum_of = size - step - p, splat(0.0)
+            for c in range(3):
+                at = c * size + p
+                pull = load_part(gradient, at, count) + load_part(gradient, at + step, count)
+                fall = load_part(colour, at, count) - load_part(colour, at + step, count)
+                sum_of = fma(pull, fall, sum_of)
+            store_part(adjoints, first_of + p, 0.5 * sum_of, count)
 
 
-@numba.njit(inline="always")
-def _evaluate(coefficients, rectangles, t, first, column, row):
+@inlined
+def _border(p, q):
+    # Where the segment from p (0, inside) to q (1) first leaves the triangle: the smallest p_i / (p_i - q_i) of those with q_i < 0.
+    over, under = splat(1.0), splat(1.0)
+    for i in range(3):
+        fall = p[i] - q[i]
+        earlier = (q[i] < 0.0) & (p[i] * under < over * fall)
+        over, under = select(earlier, p[i], over), select(earlier, fall, under)
+    return maximum(over / under, 0.0)
+
+
+@inlined
+def _meet(p, q, active, t, other, depth_q):
+    # One pixel's view of the pairs with neighbours q. p, q: mu_0, mu_1, mu_2 and depth of the own triangle t there; other, depth_q: what
+    # is visible at q. Returns where between p (0) and q (1) the pull acts, who is pulled, and who may meet an intersection.
+    same = other == t
+    continues = (q[0] >= 0.0) & (q[1] >= 0.0) & (q[2] >= 0.0)
+    in_front = (other < 0) | (p[3] < depth_q)
+    hidden = continues & ~same & (other >= 0) & (depth_q < q[3])
+    fraction = select(same | continues, 0.5, _border(p, q))
+    return fraction, active & (same | (in_front & ~hidden)), active & hidden
+
+
+@inlined
+def _add(sums, pull, p, q, fraction):
+    # sums_i + pull · mu_i(m)
+    s0, s1, s2 = sums
     return (
-        coefficients[t, first]
-        + coefficients[t, first + 1] * np.float32(column - rectangles[t, 2])
-        + coefficients[t, first + 2] * np.float32(row - rectangles[t, 0])
+        fma(pull, fma(fraction, q[0] - p[0], p[0]), s0),
+        fma(pull, fma(fraction, q[1] - p[1], p[1]), s1),
+        fma(pull, fma(fraction, q[2] - p[2], p[2]), s2),
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _edge_side(
-    coefficients, rectangles, moments, t0, column0, row0, depth0, t1, column1, row1, depth1, gx, gy, sx, sy
+@inlined
+def _pull(sums, moments, p, q, fraction, pull, middle, step):
+    # Add the pulls along an axis to sums (of mu_i·g), and to moments (of mu_i·g·m); m = middle + fraction·step on that axis, NDC.
+    moment = pull * fma(fraction, step, middle)
+    return _add(sums, pull, p, q, fraction), _add(moments, moment, p, q, fraction)
+
+
+@inlined
+def _value(coefficients, rectangles, t, which, column, row):
+    # mu_0, mu_1, mu_2 or depth of triangle t at one pixel, or between two.
+    x, y = np.float32(column - rectangles[t, 2]), np.float32(row - rectangles[t, 0])
+    k = 3 * which
+    return coefficients[t, k] + coefficients[t, k + 1] * x + coefficients[t, k + 2] * y
+
+
+@inlined
+def _serve(p, q, mine, t, triangle, depth, neighbour, adjoints, pair, scale):
+    # Fraction and pull (0 where there is none) of the pairs with `neighbour`, and who may meet an intersection.
+    adjoint = gather(adjoints, pair, mine)
+    active = adjoint != 0.0
+    other, depth_q = gather(triangle, neighbour, active), gather(depth, neighbour, active)
+    fraction, pulled, hidden = _meet(p, q, active, t, other, depth_q)
+    return fraction, select(pulled, scale * adjoint, 0.0), bits(hidden)
+
+
+@inlined
+def _intersect(coefficients, rectangles, t, other, column, row, axis, step, depth, pull, scale, corners):
+    # Two triangles pass through each other between a pixel and its neighbour `step` further along axis (0: x, 1: y), unless the other
+    # one is behind t at the pixel itself: the pull goes along t's normal, as far as that moves the crossing line. Adds to corners.
+    if not depth < _value(coefficients, rectangles, other, 3, column, row):
+        return
+    for i in range(3):
+        if not _value(coefficients, rectangles, other, i, column, row) >= 0:
+            return
+    # The normals are (-slope, 1) of each depth plane in the plane of the axis and z, NDC.
+    vary, fixed = coefficients[t, 10 + axis] / scale, coefficients[other, 10 + axis] / scale
+    difference = vary - fixed
+    if not abs(difference) > 1e-12 * np.sqrt((1.0 + vary * vary) * (1.0 + fixed * fixed)):
+        return
+    x, y = (column, row + 0.5 * step) if axis else (column + 0.5 * step, row)
+    across, deep = pull * vary / difference, -pull / difference
+    where = ((y if axis else x) + 0.5) * scale - 1.0
+    moment = across * where + deep * _value(coefficients, rectangles, t, 3, x, y)
+    for i in range(3):
+        mu = _value(coefficients, rectangles, t, i, x, y)
+        corners[i, axis] += mu * across
+        corners[i, 2] += mu * deep
+        corners[i, 3] -= mu * moment
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def _intersections(
+    hidden,
+    coefficients,
+    rectangles,
+    t,
+    triangle,
+    depth,
+    pixels,
+    k,
+    width,
+    adjoints,
+    below_first,
+    scales,
+    corners,
 ):
-    # One pixel's view of the pair: the triangle t0 visible at pixel 0, against whatever (t1, or nothing: -1) pixel 1 shows.
-    q0 = _evaluate(coefficients, rectangles, t0, 0, column1, row1)
-    q1 = _evaluate(coefficients, rectangles, t0, 3, column1, row1)
-    q2 = _evaluate(coefficients, rectangles, t0, 6, column1, row1)
-    in_front = t1 < 0 or depth0 < depth1
-    if q0 >= 0 and q1 >= 0 and q2 >= 0:
-        middle_column, middle_row = 0.5 * (column0 + column1), 0.5 * (row0 + row1)
-        if t1 >= 0 and depth1 < _evaluate(coefficients, rectangles, t0, 9, column1, row1):
-            inside = (
-                _evaluate(coefficients, rectangles, t1, 0, column0, row0) >= 0
-                and _evaluate(coefficients, rectangles, t1, 3, column0, row0) >= 0
-                and _evaluate(coefficients, rectangles, t1, 6, column0, row0) >= 0
+    # hidden: four sets of lanes (right, left, below, above) of the pixels from number k on.
+    for direction in range(4):
+        axis, step = direction // 2, 1 - 2 * (direction % 2)
+        apart, first_of = (step * width, below_first) if axis else (step, width)
+        some = hidden[direction]
+        while some:
+            pixel = pixels[k + trailing_zeros(some)]
+            some &= some - 1
+            pull = adjoints[first_of + min(pixel, pixel + apart)] / scales[axis]
+            _intersect(
+                coefficients,
+                rectangles,
+                t,
+                triangle[pixel + apart],
+                pixel % width,
+                pixel // width,
+                axis,
+                step,
+                depth[pixel],
+                pull,
+                scales[axis],
+                corners,
             )
-            if inside and depth0 < _evaluate(coefficients, rectangles, t1, 9, column0, row0):
-                # Intersection edge. The normals are (-slope, 1) of each depth plane in the x-z (or y-z) plane, NDC.
-                axis = 10 if row0 == row1 else 11
-                scale = 1.0 / sx if row0 == row1 else 1.0 / sy
-                vary, fixed = coefficients[t0, axis] * scale, coefficients[t1, axis] * scale
-                difference = vary - fixed
-                if abs(difference) > 1e-12 * np.sqrt((1.0 + vary * vary) * (1.0 + fixed * fixed)):
-                    pull = gx if row0 == row1 else gy
-                    along, depth_pull = pull * vary / difference, -pull / difference
-                    z = (
-                        coefficients[t0, 9]
-                        + coefficients[t0, 10] * (middle_column - rectangles[t0, 2])
-                        + coefficients[t0, 11] * (middle_row - rectangles[t0, 0])
-                    )
-                    ax, ay = (along, 0.0) if row0 == row1 else (0.0, along)
-                    _pull(moments, rectangles, t0, middle_column, middle_row, ax, ay, depth_pull, z, sx, sy)
-        elif in_front:
-            _pull(moments, rectangles, t0, middle_column, middle_row, gx, gy, 0.0, 0.0, sx, sy)
-    elif in_front:
-        # Geometric edge: where the segment between the pixel centres leaves the triangle.
-        crossing = 1.0
-        p = _evaluate(coefficients, rectangles, t0, 0, column0, row0)
-        if q0 < 0:
-            crossing = min(crossing, p / (p - q0))
-        p = _evaluate(coefficients, rectangles, t0, 3, column0, row0)
-        if q1 < 0:
-            crossing = min(crossing, p / (p - q1))
-        p = _evaluate(coefficients, rectangles, t0, 6, column0, row0)
-        if q2 < 0:
-            crossing = min(crossing, p / (p - q2))
-        crossing = max(crossing, 0.0)
-        column, row = column0 + crossing * (column1 - column0), row0 + crossing * (row1 - row0)
-        _pull(moments, rectangles, t0, column, row, gx, gy, 0.0, 0.0, sx, sy)
 
 
-@numba.njit(forceinline=True, error_model="numpy")
-def _pair(triangle, depth, coefficients, rectangles, moments, p, column0, row0, q, column1, row1, gx, gy, sx, sy):
-    # Two neighbouring pixels p and q that show different triangles (or, one of them, nothing): both their views of the pair.
-    tp, tq, zp, zq = triangle[p], triangle[q], depth[p], depth[q]
-    if tp >= 0:
-        _edge_side(
-            coefficients, rectangles, moments, tp, column0, row0, zp, tq, column1, row1, zq, gx, gy, sx, sy
-        )
-    if tq >= 0:
-        _edge_side(
-            coefficients, rectangles, moments, tq, column1, row1, zq, tp, column0, row0, zp, gx, gy, sx, sy
-        )
+@inlined
+def _values(coefficients, t, x, y):
+    # mu_0, mu_1, mu_2 and depth of triangle t, x and y from its first column and row on; the same bits as in `visibility`.
+    return (
+        (coefficients[t, 0] + coefficients[t, 2] * y) + coefficients[t, 1] * x,
+        (coefficients[t, 3] + coefficients[t, 5] * y) + coefficients[t, 4] * x,
+        (coefficients[t, 6] + coefficients[t, 8] * y) + coefficients[t, 7] * x,
+        (coefficients[t, 9] + coefficients[t, 11] * y) + coefficients[t, 10] * x,
+    )
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _adjoints(c0, c1, c2, g0, g1, g2, start, offset, count, out):
-    # out[k] = ½ sum over channels of (g[p] + g[q])(c[p] - c[q]) with p = start + k, q = p + offset.
-    for k in range(count):
-        p = start + k
-        out[k] = np.float32(0.5) * (
-            (g0[p] + g0[p + offset]) * (c0[p] - c0[p + offset])
-            + (g1[p] + g1[p + offset]) * (c1[p] - c1[p + offset])
-            + (g2[p] + g2[p + offset]) * (c2[p] - c2[p + offset])
-        )
-
-
-@numba.njit(inline="always")
-def _flush(moments, rectangles, t, row, right0, right1, right2, down0, down1, sx, sy):
-    # Add a run of pairs inside triangle t on one row: sums over the pairs of 2·g·(1, x, x²) to the right, of 2·g·(1, x) downward.
-    y = float(row - rectangles[t, 0])
-    shift = (rectangles[t, 2] + 0.5) * sx - 1.0  # ndc_x = shift + sx·x
-    along, along_x = shift * right0 + sx * right1, shift * right1 + sx * right2
-    ndc_y = (row + 1.0) * sy - 1.0
-    moments[t, 0] += right0
-    moments[t, 1] += right1
-    moments[t, 2] += right0 * y
-    moments[t, 3] += down0
-    moments[t, 4] += down1
-    moments[t, 5] += down0 * (y + 0.5)
-    moments[t, 9] += along + ndc_y * down0
-    moments[t, 10] += along_x + ndc_y * down1
-    moments[t, 11] += along * y + ndc_y * down0 * (y + 0.5)
+@inlined
+def _flush(gradient, t, by_x, by_y, by_w, corners, matrix):
+    # Clip space to world.
+    for i in range(3):
+        gx, gy = corners[i, 0] + total(by_x[i]), corners[i, 1] + total(by_y[i])
+        gz, gw = corners[i, 2], corners[i, 3] - total(by_w[i])
+        for axis in range(3):
+            gradient[t, i, axis] += (
+                matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
+            )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def edge_moments(surface, planes, colour, gradient, moments):
-    """Add every pixel pair's pull to moments (T,12) float64 (zeroed by the caller).
+def edge_backward(planes, surface, shown, covered, adjoints, matrix, vertex_gradient):
+    """Add the edge gradient of one view to vertex_gradient (T,3,3) float32, world.
 
-    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32. The same signed pull serves
-    both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts
-    twice, and the pairs of a run along a row are summed before they are added.
-    """
-    height, width = colour.shape[1], colour.shape[2]
-    triangle, depth = surface.triangle, surface.depth
-    coefficients, rectangles = planes.coefficients, planes.rectangles
-    c, g = colour.reshape(3, height * width), gradient.reshape(3, height * width)
-    sx, sy = 2.0 / width, 2.0 / height
-    to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
-    for row in range(height):
-        start = row * width
-        _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, 1, width - 1, to_right)
-        to_right[width - 1] = np.float32(0.0)
-        if row + 1 < height:
-            _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, width, width, downward)
-        else:
-            downward[:] = np.float32(0.0)
-        current = -1
-        right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
-        for column in range(width):
-            p = start + column
-            tp = triangle[p]
-            if tp != current:
-                if current >= 0:
-                    _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
-                right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
-                current = tp
-            if to_right[column] != 0:
-                gx = to_right[column] / sx
-                if triangle[p + 1] == tp:
-                    if tp >= 0:
-                        x = column - rectangles[tp, 2] + 0.5
-                        right0 += 2 * gx
-                        right1 += 2 * gx * x
-                        right2 += 2 * gx * x * x
-                else:
-                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, p + 1, column + 1, row, gx, 0.0, sx, sy)
-            if downward[column] != 0:
-                gy = downward[column] / sy
-                q = p + width
-                if triangle[q] == tp:
-                    if tp >= 0:
-                        down0 += 2 * gy
-                        down1 += 2 * gy * (column - rectangles[tp, 2])
-                else:
-                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, q, column, row + 1, 0.0, gy, sx, sy)
-        if current >= 0:
-            _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def moments_to_vertices(moments, planes, matrix, vertex_gradient):
-    """Turn moments (T,12) into world-space gradients, added to vertex_gradient (T,3,3) float32.
-
-    matrix (4,4) float32 is world → clip.
+    planes, surface, the first `covered` of shown: as drawn (`visibility`); adjoints: see `edge_adjoints`; matrix (4,4) float32 is
+    world → clip.
     """
     coefficients, rectangles = planes.coefficients, planes.rectangles
-    for t in range(moments.shape[0]):
-        if rectangles[t, 0] < 0:
-            continue
-        for corner in range(3):
-            a, b, c = (
-                coefficients[t, 3 * corner],
-                coefficients[t, 3 * corner + 1],
-                coefficients[t, 3 * corner + 2],
+    depth, triangle = surface.depth, surface.triangle
+    pixels, triangles = shown.pixel, shown.triangle
+    height, width = adjoints.shape[1] - 1, adjoints.shape[2]
+    flat, below_first = adjoints.reshape(adjoints.size), (height + 2) * width
+    sx, sy = np.float32(2.0 / width), np.float32(2.0 / height)
+    to_x, to_y = np.float32(0.5 * width), np.float32(0.5 * height)
+    corners = np.zeros(
+        (4, 4), np.float32
+    )  # dL/d of the triangle's three clip-space corners, by intersections
+    zero = splat(0.0)
+    by_x, by_y, by_w = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
+    k = 0
+    while k < covered:
+        t = triangles[k]
+        mine = (load(triangles, k) == t) & first(covered - k)
+        pixel = load(pixels, k)
+        row = floor((to_float(pixel) + 0.5) * np.float32(1.0 / width))  # exact below 2**23 pixels
+        column = to_float(pixel) - row * np.float32(width)
+        x, y = column - np.float32(rectangles[t, 2]), row - np.float32(rectangles[t, 0])
+        ndc_x, ndc_y = fma(column + 0.5, sx, -1.0), fma(row + 0.5, sy, -1.0)
+        p = _values(coefficients, t, x, y)
+        q, pair = _values(coefficients, t, x + 1.0, y), pixel + width
+        with_q = mine & (column < np.float32(width - 1))
+        at, pull, right = _serve(p, q, with_q, t, triangle, depth, pixel + 1, adjoints, pair, to_x)
+        by_x, by_w = _pull(by_x, by_w, p, q, at, pull, ndc_x, sx)
+        q, pair = _values(coefficients, t, x - 1.0, y), pixel + (width - 1)
+        with_q = mine & (column > 0.0)
+        at, pull, left = _serve(p, q, with_q, t, triangle, depth, pixel - 1, adjoints, pair, to_x)
+        by_x, by_w = _pull(by_x, by_w, p, q, at, pull, ndc_x, -sx)
+        # Below the last row and above the first one adjoints are 0.
+        q, pair = _values(coefficients, t, x, y + 1.0), pixel + below_first
+        at, pull, below = _serve(p, q, mine, t, triangle, depth, pixel + width, adjoints, pair, to_y)
+        by_y, by_w = _pull(by_y, by_w, p, q, at, pull, ndc_y, sy)
+        q, pair = _values(coefficients, t, x, y - 1.0), pixel + (below_first - width)
+        at, pull, above = _serve(p, q, mine, t, triangle, depth, pixel - width, adjoints, pair, to_y)
+        by_y, by_w = _pull(by_y, by_w, p, q, at, pull, ndc_y, -sy)
+        if right | left | below | above:
+            _intersections(
+                (right, left, below, above),
+                coefficients,
+                rectangles,
+                t,
+                triangle,
+                depth,
+                pixels,
+                k,
+                width,
+                flat,
+                below_first,
+                (sx, sy),
+                corners,
             )
-            gx = a * moments[t, 0] + b * moments[t, 1] + c * moments[t, 2]
-            gy = a * moments[t, 3] + b * moments[t, 4] + c * moments[t, 5]
-            gz = a * moments[t, 6] + b * moments[t, 7] + c * moments[t, 8]
-            gw = -(a * moments[t, 9] + b * moments[t, 10] + c * moments[t, 11])
-            for axis in range(3):
-                vertex_gradient[t, corner, axis] += (
-                    matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
-                )
+        k += popcount(bits(mine))
+        if k == covered or triangles[k] != t:
+            _flush(vertex_gradient, t, by_x, by_y, by_w, corners, matrix)
+            by_x, by_y, by_w = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
+            store(corners, 0, zero)
