@@ -144,6 +144,20 @@ def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
             assert float((gradient * direction).sum()) == pytest.approx(difference, abs=1e-4 * scale), name
 
 
+def test_a_triangle_whose_plane_has_w_infinite_in_the_image_has_the_twins_gradients():
+    """1/w is 1 - column/8 on the triangle's plane: exactly 0 at column 8, right of its last corner at column 4."""
+    size, columns, rows, w = (16, 16), np.array([0, 4, 0]), np.array([0, 0, 4]), np.array([1.0, 2.0, 1.0])
+    corners = np.stack([((2 * columns + 1) / 16 - 1) * w, ((2 * rows + 1) / 16 - 1) * w, w], axis=-1)
+    matrix = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1.5, -1.25], [0, 0, 1, 0]], np.float32)
+    far = np.array([[-9.0, -9.0, 2.25], [9.0, -9.0, 2.25], [0.0, 18.0, 2.25]])
+    soup = soup_arrays(1, 2)._replace(vertices=np.stack([corners, far]).astype(np.float32))
+    images = stream(1, "photometric step targets").random((1, 3, *size), dtype=np.float32)
+    for key in range(4):
+        case = Case(soup, matrix[None], images, [view_key(1, key, 0)])
+        assert case.flips() == 0
+        check_against_twin(case)
+
+
 def flat_soup(vertices: np.ndarray, colours: np.ndarray, opacity: np.ndarray) -> SoupArrays:
     """Return triangles of one colour each: blend 0 leaves the MLP out. vertices (T,3,3), colours (T,3), opacity (T,3)."""
     soup = soup_arrays(0, len(vertices))

@@ -74,7 +74,8 @@ def _meet(p, q, active, t, other, depth_q):
     continues = (q[0] >= 0.0) & (q[1] >= 0.0) & (q[2] >= 0.0)
     in_front = (other < 0) | (p[3] < depth_q)
     hidden = continues & ~same & (other >= 0) & (depth_q < q[3])
-    fraction = select(same | continues, 0.5, _border(p, q))
+    # Only where it is asked for: in a lane without a pair it may be infinite, and its pull of 0 would not help.
+    fraction = select(active & ~(same | continues), _border(p, q), 0.5)
     return fraction, active & (same | (in_front & ~hidden)), active & hidden
 
 
