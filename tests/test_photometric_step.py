@@ -71,7 +71,8 @@ class Case(NamedTuple):
 def make_case(
     seed: int = 3, triangles: int = 60, size: tuple[int, int] = (HEIGHT, WIDTH), views: int = BATCH
 ) -> Case:
-    images = stream(seed, "photometric step targets").random((views, 3, *size), dtype=np.float32)
+    images = stream(seed, "photometric step targets").integers(0, 256, (views, 3, *size)) / np.float32(255)
+    images = images.astype(np.float32)
     matrices = cameras(seed, views).numpy().astype(np.float32)
     keys = [view_key(seed, 5, index) for index in range(views)]
     return Case(soup_arrays(seed, triangles, size=0.5), matrices, images, keys)
@@ -251,8 +252,8 @@ def test_one_and_two_threads_give_the_same_bits(case, two_threads):
 def backend_of(case: Case) -> CpuBackend:
     """Return the backend of a scene of four views, of which the case's three, in this order, are views 3, 0 and 2."""
     order = [3, 0, 2]
-    images, matrices = np.zeros((4, HEIGHT, WIDTH, 3), np.float32), np.tile(case.matrices[:1], (4, 1, 1))
-    images[order], matrices[order] = case.images.transpose(0, 2, 3, 1), case.matrices
+    images, matrices = np.zeros((4, HEIGHT, WIDTH, 3), np.uint8), np.tile(case.matrices[:1], (4, 1, 1))
+    images[order], matrices[order] = np.rint(255 * case.images.transpose(0, 2, 3, 1)), case.matrices
     fields = {"images": images, "world_to_clip": matrices, "background": BACKGROUND}
     scene = Scene(**{name: fields.get(name) for name in Scene.__dataclass_fields__})
     return CpuBackend(scene, np.array([0, 2, 3]))
