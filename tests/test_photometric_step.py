@@ -252,8 +252,8 @@ def test_one_and_two_threads_give_the_same_bits(case, two_threads):
 def backend_of(case: Case) -> CpuBackend:
     """Return the backend of a scene of four views, of which the case's three, in this order, are views 3, 0 and 2."""
     order = [3, 0, 2]
-    images, matrices = np.zeros((4, HEIGHT, WIDTH, 3), np.uint8), np.tile(case.matrices[:1], (4, 1, 1))
-    images[order], matrices[order] = np.rint(255 * case.images.transpose(0, 2, 3, 1)), case.matrices
+    images, matrices = np.zeros((4, 3, HEIGHT, WIDTH), np.uint8), np.tile(case.matrices[:1], (4, 1, 1))
+    images[order], matrices[order] = np.rint(255 * case.images), case.matrices
     fields = {"images": images, "world_to_clip": matrices, "background": BACKGROUND}
     scene = Scene(**{name: fields.get(name) for name in Scene.__dataclass_fields__})
     return CpuBackend(scene, np.array([0, 2, 3]))

@@ -54,10 +54,10 @@ def _stages(
 
 
 def _stage_seconds(scene: Scene, soup: Soup, views: np.ndarray, repetitions: int) -> dict[str, list[float]]:
-    height, width = scene.images.shape[1:3]
+    height, width = scene.images.shape[2:]
     raster, drawn = ViewRaster(height, width), soup.drawn()
     cameras = [make_camera(scene.world_to_clip[view]) for view in views]
-    targets = [make_target(scene.images[view].transpose(2, 0, 1)) for view in views]
+    targets = [make_target(scene.images[view]) for view in views]
     seconds: dict[str, list[float]] = {}
     for repetition in range(repetitions):
         for view, camera, target in zip(views, cameras, targets, strict=True):

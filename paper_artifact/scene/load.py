@@ -24,7 +24,7 @@ HOLDOUT_EVERY = 8
 class Scene:
     """A scene as the trainer sees it; `n` views in the order of their names.
 
-    images (n,H,W,3) uint8, row 0 on top (`colours` gives them in [0,1]); world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
+    images (n,3,H,W) uint8, row 0 on top (`colours` gives them in [0,1]); world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
     camera_centres (n,3), points (P,3) float32, world units; background (3,) float32 in [0,1]; train (k,), holdout (m,)
     int64 view indices: every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup. `radius` is the
     scene's bounding radius in world units, the unit of learning rates and of the near and far planes.
@@ -43,7 +43,7 @@ class Scene:
 
     def colours(self, views: np.ndarray | int) -> np.ndarray:
         """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
-        return self.images[views] / np.float32(255)
+        return np.moveaxis(self.images[views], -3, -1) / np.float32(255)
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -78,7 +78,7 @@ def load_scene(path: Path | str) -> Scene:
         _read_image(path / "images" / name, camera.width / camera.height, background)
         for name, camera in zip(names, cameras)
     ]
-    sizes = sorted({image.shape[:2] for image in images})
+    sizes = sorted({image.shape[1:] for image in images})
     if len(sizes) > 1:
         (h0, w0), (h1, w1) = sizes[:2]
         raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
@@ -165,7 +165,7 @@ def _cloud_radius(positions: np.ndarray) -> float:
 
 
 def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """One image (H,W,3) uint8, over the background where it is transparent; `aspect` is the camera's width / height, resized copies are welcome."""
+    """One image (3,H,W) uint8, over the background where it is transparent; `aspect` is the camera's width / height, resized copies are welcome."""
     try:
         with Image.open(file) as opened:
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
@@ -189,4 +189,4 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
         raise InputError(
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
-    return pixels
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))

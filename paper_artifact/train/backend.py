@@ -18,13 +18,12 @@ from paper_artifact.soup.state import Soup
 
 
 class CpuBackend:
-    """Numba kernels; targets are kept as bytes."""
+    """Numba kernels; targets are the scene's own bytes."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
-        self._targets = {int(view): make_target(scene.images[view].transpose(2, 0, 1)) for view in views}
+        self._targets = {int(view): make_target(scene.images[view]) for view in views}
         self._cameras = {int(view): make_camera(scene.world_to_clip[view]) for view in views}
-        _, height, width, _ = scene.images.shape
-        self._step = PhotometricStep(height, width, scene.background)
+        self._step = PhotometricStep(*scene.images.shape[2:], scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
         """Return the soup itself: it lives on the CPU."""
@@ -55,7 +54,7 @@ class TwinBackend:
     ) -> None:
         self._device, self._dtype = torch.device(device), dtype
         self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = torch.from_numpy(scene.colours(views).transpose(0, 3, 1, 2)).to(self._device, dtype)
+        self._targets = torch.from_numpy(scene.images[views]).to(self._device, dtype) / 255
         self._matrices = torch.from_numpy(scene.world_to_clip).to(self._device, dtype)
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 

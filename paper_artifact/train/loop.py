@@ -86,7 +86,7 @@ def train(
         if resampler.due(step, config.steps):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
-                size, host = scene.images.shape[1:3], backend.to_host(state.soup)
+                size, host = scene.images.shape[2:], backend.to_host(state.soup)
                 soup, report = resampler.resample(host, views_of_all, *size, config.seed, step, config.steps)
                 state.replace_soup(backend.to_device(soup))
                 state.resamplings.append({"step": step, **vars(report)})
