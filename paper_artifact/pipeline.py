@@ -26,7 +26,8 @@ from paper_artifact.train.loop import train
 
 
 def make_run_term(config: RunConfig, mesh: Mesh):
-    """Return (loss term, target bundle) of a configuration; (None, None), importing nothing, for one that adds no loss."""
+    """Return (loss term, target bundle) of a configuration; (None, None), importing nothing, for one that
+    adds no loss."""
     if config.loss is None:
         return None, None
     from paper_artifact.topology.bundle import build_from_mesh
@@ -53,10 +54,11 @@ def run(
     device: str = "auto",
     again: bool = False,
 ) -> dict:
-    """Train and evaluate one configuration, write record and soup, and return the record; one that is there is read back.
+    """Train and evaluate one configuration, write record and soup, and return the record; one that is there
+    is read back.
 
-    results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even if recorded.
-    Raises InputError for bad input or a folder that is not writable, before any training.
+    results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even
+    if recorded. Raises InputError for bad input or a folder that is not writable, before any training.
     """
     check_device(device)
     mesh = mesh if mesh is not None else find_mesh(config.shape)
@@ -113,7 +115,8 @@ def run(
 
 
 def _matching(record: dict, path: Path, config: RunConfig, mesh: Mesh) -> dict:
-    """Return the record; InputError when it is of another mesh: of a mesh file the configuration holds the path only."""
+    """Return the record; InputError when it is of another mesh: of a mesh file the configuration holds the
+    path only."""
     # Analytic shapes may differ in the last bit between machines, so only files are compared.
     if Path(config.shape).is_file() and record.get("mesh", {}).get("sha256") != mesh_hash(mesh):
         raise InputError(

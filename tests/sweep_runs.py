@@ -55,10 +55,10 @@ class Finder:
         def exec_module(module):
             execute(module)
             write = module.write_checkpoint
-            def write_checkpoint(path, config, step, *others):
-                write(path, config, step, *others)
-                if step == STEP:
-                    wait_once(step)
+            def write_checkpoint(path, config, state, *others):
+                write(path, config, state, *others)
+                if state.step == STEP:
+                    wait_once(state.step)
             module.write_checkpoint = write_checkpoint
         spec.loader.exec_module = exec_module
         return spec

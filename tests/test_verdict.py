@@ -153,13 +153,12 @@ def test_bad_rows_are_refused():
 
 def test_rows_of_records():
     record = {
-        "status": "done",
         "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
         "tails": {"bottleneck": [0.001, 0.2, 0.3], "counts": [1, 0, 2], "chamfer": 0.005},
         "mesh": {"dimension": 0, "betti": [2, 0, 2]},
         "bundle": {"bars": [[[0, 0.1]], [], []]},
     }
-    assert rows_of([record, record | {"status": "failed"}, record | {"tails": {}}]) == [
+    assert rows_of([record, record | {"tails": {}}]) == [
         {
             "shape": "two_spheres",
             "condition": "C1",

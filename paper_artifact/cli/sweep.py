@@ -41,13 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from paper_artifact.study.studies import study_configs
-    from paper_artifact.study.sweep import complete, missing, sweep
+    from paper_artifact.study.sweep import missing, sweep
 
     if (arguments.executor == "dask") != bool(arguments.scheduler):
         raise InputError("--executor dask and --scheduler ADDRESS belong together; give both or neither")
     configs = study_configs(arguments.study, arguments.shape, arguments.condition, arguments.seed)
     if arguments.list:
-        todo = missing(complete(configs), arguments.results)
+        todo = missing(configs, arguments.results)
         for config in todo:
             print(f"missing: {config.shape} {config.condition} seed {config.seed}")
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")

@@ -1,7 +1,8 @@
 """The triangle soup: what is trained.
 
-Letters: T triangles. Every triangle owns its three corners; nothing is shared. Features and opacity are logits and pass
-through a sigmoid wherever they are used. The shading MLP belongs to the soup, since the features mean nothing without it.
+Letters: T triangles. Every triangle owns its three corners; nothing is shared. Features and opacity are
+logits and pass through a sigmoid wherever they are used. The shading MLP belongs to the soup, since the
+features mean nothing without it.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArray
 
 @dataclass(frozen=True)
 class Soup:
-    """vertices (T,3,3) float32 world; features (T,3,7) and opacity (T,3) float32 logits; mlp: see `MLP_SHAPES`, as
-    torch.nn.Linear."""
+    """vertices (T,3,3) float32 world; features (T,3,7) and opacity (T,3) float32 logits; mlp: see
+    `MLP_SHAPES`, as torch.nn.Linear."""
 
     vertices: torch.Tensor
     features: torch.Tensor
@@ -32,8 +33,8 @@ class Soup:
         return len(self.vertices)
 
     def select(self, triangles: torch.Tensor, vertices: torch.Tensor | None = None) -> "Soup":
-        """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices (K,3,3) replace
-        positions."""
+        """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices
+        (K,3,3) replace positions."""
         with torch.no_grad():
             moved = self.vertices[triangles] if vertices is None else vertices
             return Soup(
@@ -58,8 +59,8 @@ class Soup:
 
 
 def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
-    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases (DiffSoup
-    `multires.py`)."""
+    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases
+    (DiffSoup `multires.py`)."""
     draws = stream(seed, "mlp")
     tensors = []
     for shape in MLP_SHAPES:
@@ -73,7 +74,8 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
 
 
 def save_soup(path: Path | str, soup: Soup) -> None:
-    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically. Raises InputError when not writable."""
+    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically. Raises InputError when
+    not writable."""
     arrays = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
     arrays |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
     with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:

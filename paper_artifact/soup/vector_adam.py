@@ -1,4 +1,5 @@
-"""VectorAdam (Ling, Sharp, Jacobson, NeurIPS 2022): Adam whose second moment is pooled over the last dimension.
+"""VectorAdam (Ling, Sharp, Jacobson, NeurIPS 2022): Adam whose second moment is pooled over the last
+dimension.
 
 One step size per vector, so the update commutes with rotations of the coordinates; plain Adam's does not.
 """
@@ -9,7 +10,8 @@ import torch
 
 
 class VectorAdam(torch.optim.Optimizer):
-    """Optimizer of tensors (…, 3): second moment = running mean of the squared gradient norm, betas (.9, .999), eps 1e-8."""
+    """Optimizer of tensors (…, 3): second moment = running mean of the squared gradient norm, betas (.9,
+    .999), eps 1e-8."""
 
     def __init__(self, parameters, lr: float, betas: tuple[float, float] = (0.9, 0.999), eps: float = 1e-8):
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})

@@ -1,7 +1,7 @@
 """Checkpoints: all that a run needs to go on to the same bits, written atomically right after a resampling.
 
-Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be stored; the MLP's moments
-and the term's own state are.
+Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be
+stored; the MLP's moments and the term's own state are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ HISTORY = (
 
 
 def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend) -> None:
-    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not writable."""
+    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not
+    writable."""
     soup = backend.to_host(state.soup)
     saved = {name: getattr(state, name) for name in HISTORY} | {
         "format": FORMAT,
@@ -42,9 +43,11 @@ def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: Los
 
 
 def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend) -> TrainState | None:
-    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no such file.
+    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no
+    such file.
 
-    The term takes over its own state. Raises InputError when the file is damaged or belongs to another configuration.
+    The term takes over its own state. Raises InputError when the file is damaged or belongs to another
+    configuration.
     """
     if path is None or not path.is_file():
         return None

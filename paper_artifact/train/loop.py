@@ -1,7 +1,8 @@
-"""The training loop, the only one: DiffSoup's photometric training with a place for one additive loss term (paper §4).
+"""The training loop, the only one: DiffSoup's photometric training with a place for one additive loss term
+(paper §4).
 
-Steps count from 1. Everything random is a function of (seed, step): a run resumed from a checkpoint gives the same bits as one never
-stopped.
+Steps count from 1. Everything random is a function of (seed, step): a run resumed from a checkpoint gives the
+same bits as one never stopped.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from paper_artifact.train.term import LossTerm, NoTerm
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
-    """Return the scene's view indices of a step: each epoch is a fresh permutation of `train`, its last batch may be smaller."""
+    """Return the scene's view indices of a step: each epoch is a fresh permutation of `train`, its last batch
+    may be smaller."""
     per_epoch = -(-len(train) // batch)
     epoch, position = divmod(step - 1, per_epoch)
     order = stream(seed, "epoch", epoch).permutation(len(train))
@@ -47,13 +49,14 @@ def train(
     device: str = "auto",
     resampler: Resampler | None = None,
 ) -> TrainState:
-    """Train a soup on the scene's training views and return the state after the last step, the soup on the CPU.
+    """Train a soup on the scene's training views and return the state after the last step, the soup on the
+    CPU.
 
-    term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a dict) at each of
-    config.dump_steps. checkpoint: file that is written after each resampling and read at the start when it belongs to the same
-    configuration. progress(step, text) is called after each step. device: "cpu", "cuda" or "auto" (cuda when there is one).
-    Raises TrainingError when a loss or the soup stops being finite, InputError for a scene without training views or a foreign
-    checkpoint.
+    term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a
+    dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
+    start when it belongs to the same configuration. progress(step, text) is called after each step. device:
+    "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when a loss or the soup stops being
+    finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
@@ -100,14 +103,16 @@ def train(
 
 
 def start_state(scene: Scene, config: RunConfig, backend) -> TrainState:
-    """Return the state before the first step: a soup from the scene's cloud with `initial_ratio` times the budget's triangles."""
+    """Return the state before the first step: a soup from the scene's cloud with `initial_ratio` times the
+    budget's triangles."""
     count = max(2, round(config.initial_ratio * config.budget))
     soup = backend.to_device(initial_soup(scene.points, count, config.seed))
     return TrainState(0, soup, soup_optimisers(soup))
 
 
 def add_term(term: LossTerm, state: TrainState) -> None:
-    """Add the term's gradient to that of the soup's vertices. Raises TrainingError when its value is not finite."""
+    """Add the term's gradient to that of the soup's vertices. Raises TrainingError when its value is not
+    finite."""
     soup = state.soup
     term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
     extra = term.value(state.step, soup.vertices, lambda: float(soup.vertices.grad.norm()))

@@ -1,4 +1,5 @@
-"""A run's state between two steps: soup, optimisers, history; and its learning rates as a function of the step."""
+"""A run's state between two steps: soup, optimisers, history; and its learning rates as a function of the
+step."""
 
 from __future__ import annotations
 
@@ -45,14 +46,16 @@ class TrainState:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
 
     def set_rates(self, rates: dict[str, tuple[float, ...]]) -> None:
-        """Set the learning rates of every optimiser's parameter groups (see `learning_rates`) and forget the last gradients."""
+        """Set the learning rates of every optimiser's parameter groups (see `learning_rates`) and forget the
+        last gradients."""
         for name, optimiser in self.optimisers.items():
             for group, rate in zip(optimiser.param_groups, rates[name], strict=True):
                 group["lr"] = rate
             optimiser.zero_grad(set_to_none=True)
 
     def replace_soup(self, soup: Soup) -> None:
-        """Go on with another soup: new optimisers, but the MLP's moments stay, since only its tensors may be new ones."""
+        """Go on with another soup: new optimisers, but the MLP's moments stay, since only its tensors may be
+        new ones."""
         moments = self.optimisers["mlp"].state_dict()
         self.soup, self.optimisers, self.resampled = soup, soup_optimisers(soup), True
         self.optimisers["mlp"].load_state_dict(moments)
@@ -63,7 +66,8 @@ class TrainState:
             self._broken(f"the loss of step {self.step} is {loss}", f"vertex_lr {config.vertex_lr}")
 
     def check_vertices(self, config: RunConfig) -> None:
-        """Raise TrainingError unless all vertices are finite; the raster skips such corners, so no loss would ever tell."""
+        """Raise TrainingError unless all vertices are finite; the raster skips such corners, so no loss would
+        ever tell."""
         if not torch.isfinite(self.soup.vertices.detach()).all():
             self._broken(f"vertices are not finite after step {self.step}", f"vertex_lr {config.vertex_lr}")
 
@@ -89,7 +93,8 @@ def soup_optimisers(soup: Soup) -> dict[str, torch.optim.Optimizer]:
 
 
 def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, tuple[float, ...]]:
-    """Return the learning rates at `step` (from 1) per optimiser, one per parameter group: exponential decay to `final_lr`.
+    """Return the learning rates at `step` (from 1) per optimiser, one per parameter group: exponential decay
+    to `final_lr`.
 
     radius: the scene's, world units, which vertex_lr is per unit of.
     """
