@@ -54,7 +54,7 @@ class Case(NamedTuple):
         view, count = ViewRaster(*self.images.shape[2:]), 0
         for index, matrix in enumerate(self.matrices):
             view.draw(to_clip(self.soup.vertices, matrix), self.soup.opacity, self.keys[index])
-            count += int((view.surface.triangle.reshape(seen[index].shape) + 1 != seen[index]).sum())
+            count += int((view.seen() != seen[index]).sum())
         return count
 
     def twin_loss(self, leaves: list[torch.Tensor], raster: twin.Raster) -> tuple[torch.Tensor, torch.Tensor]:
@@ -205,9 +205,9 @@ def test_a_step_is_its_stages_one_after_another(case):
         out = SoupArrays.of(np.zeros_like(array) for array in case.soup.flat())
         view.render(case.soup, camera, BACKGROUND, key)
         losses.append(view.compare(target, BATCH))
-        view.add_shading_gradient(case.soup.mlp, out.features, out.mlp)
+        view.add_shading_gradient(case.soup, camera.rays, out.features, out.mlp)
         view.add_edge_gradient(matrix, out.vertices)
-        view.add_opacity_gradient(image, BATCH, out.opacity)
+        view.add_opacity_gradient(BATCH, out.opacity)
         parts.append(out.flat())
     assert loss == sum(losses)
     for name, gradient, views in zip(NAMES, gradients.flat(), zip(*parts, strict=True), strict=True):

@@ -1,4 +1,4 @@
-"""Backward kernels on the CPU that belong to visibility: the edge gradient (vertices) and the opacity gradient.
+"""The edge gradient on the CPU: what moving a triangle's corners does to the image at its borders.
 
 Edge gradient (DRTK's EdgeGrad as DiffSoup extends it): for each pair of neighbouring pixels with adjoint
 a = sum over channels of ½(g0 + g1)(c0 - c1), a pull g in NDC acts at a point m of a triangle. With mu_i = lambda_i / w_i (affine
@@ -215,38 +215,3 @@ def moments_to_vertices(moments, planes, matrix, vertex_gradient):
                 vertex_gradient[t, corner, axis] += (
                     matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
                 )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def opacity_backward(count, fragments, surface, colour, target, weight, opacity_gradient):
-    """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
-
-    count: how many fragments there are; colour and target (3,H,W) float32. With e = sum over channels of
-    |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every other fragment in
-    front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
-    """
-    fragment_index, fragment_value = fragments.index, fragments.value
-    visible, depth = surface.visible, surface.depth
-    size = colour.shape[1] * colour.shape[2]
-    shown, wanted = colour.reshape(3, size), target.reshape(3, size)
-    for number in range(count):
-        pixel, t = fragment_index[number, 0], fragment_index[number, 1]
-        if fragment_value[number, 2] > depth[pixel]:
-            continue
-        error = (
-            abs(shown[0, pixel] - wanted[0, pixel])
-            + abs(shown[1, pixel] - wanted[1, pixel])
-            + abs(shown[2, pixel] - wanted[2, pixel])
-        )
-        if error == 0:
-            continue
-        alpha = fragment_value[number, 3]
-        if visible[pixel] == number:
-            value = error / max(alpha, np.float32(1e-5))
-        else:
-            value = -error / max(np.float32(1.0) - alpha, np.float32(1e-5))
-        value *= weight
-        b0, b1 = fragment_value[number, 0], fragment_value[number, 1]
-        opacity_gradient[t, 0] += b0 * value
-        opacity_gradient[t, 1] += b1 * value
-        opacity_gradient[t, 2] += (np.float32(1.0) - b0 - b1) * value

@@ -35,7 +35,8 @@ Operations, for vectors a, b, c of one type (numbers mix in as constants of all 
     lane(a, k)                           element k, k constant or not
     low(a), high(a), join(a, b)          the halves of 16 lanes as 8, and back
     shifted(a, b, k)                     lanes k … k + 15 of the 32 lanes a, b; k a constant: one valignd
-    interleave(a, b, first, step)        the general shuffle behind `transpose8`, see there
+    zip_low(a, b), zip_high(a, b)        a0 b0 a1 b1 … a7 b7, and a8 b8 … a15 b15
+    evens(a, b), odds(a, b)              back again: the lanes of even (odd) number of the 32 lanes a, b
     compress(a, m)                       the lanes of a where m, moved together to the front; the rest is undefined
 
 Memory. Arrays are C-contiguous with elements of the vector's type; an index counts elements from the array's first, whatever its
@@ -58,12 +59,16 @@ from __future__ import annotations
 
 import operator
 
-import llvmlite.ir as ir
+import numba
+from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 
 WIDTH = 16
+# Decorator of a kernel's helper: LLVM puts it where it is called. It borrows its arrays, that is, must make none itself: counting
+# references to each argument, atomically, would cost more than most helpers do.
+inlined = numba.njit(forceinline=True, _nrt=False)
 _ELEMENT = {"f32": ir.FloatType(), "i32": ir.IntType(32), "bool": ir.IntType(1)}
 
 
@@ -222,6 +227,7 @@ def _emit_bits(builder, kind, a):
     return builder.zext(builder.bitcast(a, ir.IntType(kind.width)), ir.IntType(32))
 
 
+_zipped = [k // 2 + WIDTH * (k % 2) for k in range(2 * WIDTH)]
 fma = _lanewise(3, _math("fmuladd"))
 absolute = _lanewise(1, _math("fabs"))
 floor = _lanewise(1, _math("floor"))
@@ -234,6 +240,10 @@ to_float = _lanewise(1, lambda builder, kind, a: builder.sitofp(a, F32.llvm), la
 to_int = _lanewise(1, lambda builder, kind, a: builder.fptosi(a, I32.llvm), lambda kind: I32)
 low = _lanewise(1, lambda builder, kind, a: _shuffle(builder, a, a, range(8)), lambda kind: F32X8)
 high = _lanewise(1, lambda builder, kind, a: _shuffle(builder, a, a, range(8, 16)), lambda kind: F32X8)
+zip_low = _lanewise(2, lambda builder, kind, a, b: _shuffle(builder, a, b, _zipped[:WIDTH]))
+zip_high = _lanewise(2, lambda builder, kind, a, b: _shuffle(builder, a, b, _zipped[WIDTH:]))
+evens = _lanewise(2, lambda builder, kind, a, b: _shuffle(builder, a, b, range(0, 2 * WIDTH, 2)))
+odds = _lanewise(2, lambda builder, kind, a, b: _shuffle(builder, a, b, range(1, 2 * WIDTH, 2)))
 join = _lanewise(2, lambda builder, kind, a, b: _shuffle(builder, a, b, range(16)), lambda kind: F32)
 
 
@@ -364,9 +374,7 @@ load, load8 = _loading(WIDTH), _loading(8)
 @intrinsic
 def store(typing, array, index, value):
     def code(context, builder, sig, arguments):
-        builder.store(
-            arguments[2], _pointer(context, builder, array, *arguments[:2], value.llvm), align=4
-        )
+        builder.store(arguments[2], _pointer(context, builder, array, *arguments[:2], value.llvm), align=4)
 
     return types.void(array, types.intp, value), code
 

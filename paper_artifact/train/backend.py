@@ -18,7 +18,7 @@ from paper_artifact.soup.state import Soup
 
 
 class CpuBackend:
-    """Numba kernels; the targets' SSIM statistics are kept."""
+    """Numba kernels; targets are kept as bytes where that loses nothing."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
         self._targets = {int(view): make_target(scene.images[view].transpose(2, 0, 1)) for view in views}
