@@ -121,9 +121,7 @@ class ViewRaster:
 
     def add_edge_gradient(self, matrix: np.ndarray, out: np.ndarray) -> None:
         """Add the edge gradient of `gradient` to out (T,3,3) float32, world; matrix: see `ViewCamera`."""
-        moments = np.zeros((len(out), 12), np.float64)
-        edges.edge_moments(self.surface, self.planes, self.colour, self.gradient, moments)
-        edges.moments_to_vertices(moments, self.planes, matrix, out)
+        edges.edge_backward(self.surface, self.planes, self.colour, self.gradient, matrix, out)
 
     def add_shading_gradient(
         self, soup: SoupArrays, rays: np.ndarray, features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
