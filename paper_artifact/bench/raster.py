@@ -34,7 +34,12 @@ def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
 
 
 def _stages(
-    view: ViewRaster, drawn: SoupArrays, camera: ViewCamera, target: np.ndarray, background: np.ndarray, key: int
+    view: ViewRaster,
+    drawn: SoupArrays,
+    camera: ViewCamera,
+    target: np.ndarray,
+    background: np.ndarray,
+    key: int,
 ) -> dict[str, Callable[[], object]]:
     # One view's part of the trainer's step, in its order.
     out = SoupArrays.of(np.zeros_like(array) for array in drawn.flat())

@@ -5,8 +5,19 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from paper_artifact.raster.lanes import WIDTH, bits, load, maximum, select, splat, total
-from paper_artifact.raster.visibility import line, sixteen
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    bits,
+    first,
+    iota,
+    load,
+    maximum,
+    select,
+    splat,
+    to_float,
+    total,
+)
+from paper_artifact.raster.visibility import along, inside, line
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -28,18 +39,18 @@ def opacity_backward(planes, met, opacity, width, surface, error, weight, opacit
         for row in range(row0, row1 + 1):
             of_line = line(coefficients, t, np.float32(row - row0))
             for column in range(0, columns, WIDTH):
-                m0, m1, m2, z, inside = sixteen(of_line, column, columns)
+                m0, m1, m2, z = values = along(of_line, to_float(iota() + column))
                 pixel = row * width + column0 + column
-                inside = inside & (z <= load(depth, pixel))
-                if bits(inside) == 0:
+                visible = load(triangle, pixel) == t
+                reached = inside(values) & first(columns - column) & (visible | (z < load(depth, pixel)))
+                if bits(reached) == 0:
                     continue
                 inverse = 1.0 / (m0 + m1 + m2)
                 w0, w1 = m0 * inverse, m1 * inverse
                 w2 = 1.0 - w0 - w1
                 alpha = w0 * o0 + w1 * o1 + w2 * o2
-                visible = load(triangle, pixel) == t
                 chance = select(visible, maximum(alpha, 1e-5), -maximum(1.0 - alpha, 1e-5))
-                value = select(inside, load(error, pixel) / chance, 0.0)
+                value = select(reached, load(error, pixel) / chance, 0.0)
                 g0 += w0 * value
                 g1 += w1 * value
                 g2 += w2 * value

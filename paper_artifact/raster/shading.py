@@ -269,7 +269,9 @@ def _outer(sums, deltas, delta, outputs, kept, layer, sixteens):
 
 
 _D3, _D2, _D1 = 0, 4, 4 + HIDDEN  # the fourth output is 0: the sums go by pairs
-_DELTAS = _D1 + HIDDEN  # rows of lanes: dL/d of the outputs and of both hidden layers, before their nonlinearity
+_DELTAS = (
+    _D1 + HIDDEN
+)  # rows of lanes: dL/d of the outputs and of both hidden layers, before their nonlinearity
 
 
 @inlined
@@ -326,7 +328,9 @@ def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature
         some = min(_BLOCK, (covered - begin + WIDTH - 1) // WIDTH)
         for n in range(some):
             k, at, delta = begin + n * WIDTH, n * WIDTH * ROWS, n * _DELTAS * WIDTH
-            _activate(pixel, triangle, b0, b1, k, width, height, rays, padded, w1, c1, w2, c2, w3, c3, kept, at)
+            _activate(
+                pixel, triangle, b0, b1, k, width, height, rays, padded, w1, c1, w2, c2, w3, c3, kept, at
+            )
             where, lanes, blend = load(pixel, k), first(covered - k), load(kept, at + 3 * WIDTH)
             g = (
                 gather(colour_gradient, where, lanes),

@@ -26,7 +26,11 @@ class PhotometricStep:
         self._gradients: list[np.ndarray] = []
 
     def __call__(
-        self, soup: SoupArrays, cameras: Sequence[ViewCamera], targets: Sequence[np.ndarray], keys: Sequence[int]
+        self,
+        soup: SoupArrays,
+        cameras: Sequence[ViewCamera],
+        targets: Sequence[np.ndarray],
+        keys: Sequence[int],
     ) -> tuple[float, SoupArrays]:
         """Return the loss of the batch and its gradients, summed over the views in their order.
 

@@ -48,7 +48,9 @@ class Planes(NamedTuple):
     rectangles: (
         np.ndarray
     )  # (T,4) int32 pixels: first row, last row, first column, last column; first row -1: skipped
-    order: np.ndarray  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth); see `draw`
+    order: (
+        np.ndarray
+    )  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth); see `draw`
 
     @staticmethod
     def room(triangles: int) -> Planes:
@@ -182,14 +184,17 @@ def line(coefficients, t, y):
 
 
 @inlined
-def sixteen(of_line, column, count):
-    """Return mu_0, mu_1, mu_2, depth and mask of sixteen columns of a `line` from `column` on: inside, within the depth range, and
-    below count."""
+def along(of_line, x):
+    """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first column on)."""
     e0, e1, e2, ez, b0, b1, b2, bz = of_line
-    x = to_float(iota() + column)
-    m0, m1, m2, z = e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
-    inside = (m0 >= 0.0) & (m1 >= 0.0) & (m2 >= 0.0) & (z >= -1.0) & (z <= 1.0)
-    return m0, m1, m2, z, inside & first(count - column)
+    return e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
+
+
+@inlined
+def inside(values):
+    """Return the mask of values (see `along`) inside the triangle and the depth range."""
+    m0, m1, m2, z = values
+    return (m0 >= 0.0) & (m1 >= 0.0) & (m2 >= 0.0) & (z >= -1.0) & (z <= 1.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -209,27 +214,27 @@ def draw(planes, kept, opacity, width, key, stochastic, surface):
         row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
         columns = rectangles[t, 3] - column0 + 1
         o0, o1, o2 = opacity[t, 0], opacity[t, 1], opacity[t, 2]
-        in_front = False
+        meets = False
         for row in range(row0, row1 + 1):
             of_line = line(coefficients, t, np.float32(row - row0))
             for column in range(0, columns, WIDTH):
-                m0, m1, m2, z, inside = sixteen(of_line, column, columns)
+                m0, m1, m2, z = values = along(of_line, to_float(iota() + column))
                 pixel = row * width + column0 + column
                 nearest = load(depth, pixel)
-                inside = inside & (z < nearest)
-                if bits(inside) == 0:
+                in_front = inside(values) & first(columns - column) & (z < nearest)
+                if bits(in_front) == 0:
                     continue
-                in_front = True
+                meets = True
                 inverse = 1.0 / (m0 + m1 + m2)
                 w0, w1 = m0 * inverse, m1 * inverse
                 alpha = w0 * o0 + w1 * o1 + (1.0 - w0 - w1) * o2
                 threshold = splat(0.5)
                 if stochastic:
                     threshold = draw_lanes(key, iota() + pixel, t)
-                survives = inside & (alpha >= threshold)
+                survives = in_front & (alpha >= threshold)
                 store(depth, pixel, select(survives, z, nearest))
                 store(triangle, pixel, select(survives, t, load(triangle, pixel)))
-        if in_front:
+        if meets:
             order[met] = t
             met += 1
     return met
@@ -252,7 +257,8 @@ def list_visible(planes, met, width, surface, shown):
                 mine = (load(triangle, pixel) == t) & first(columns - column)
                 if bits(mine) == 0:
                     continue
-                m0, m1, m2, _, _ = sixteen(line(coefficients, t, np.float32(row - row0)), column, columns)
+                of_line = line(coefficients, t, np.float32(row - row0))
+                m0, m1, m2, _ = along(of_line, to_float(iota() + column))
                 inverse = 1.0 / (m0 + m1 + m2)
                 store(shown_pixel, count, compress(iota() + pixel, mine))
                 store(shown_triangle, count, splat_int(t))

@@ -122,8 +122,8 @@ class Resampler:
 
 
 def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return per view and triangle the number of pixels (n,T) int64 in which the triangle is visible at the
-    threshold .5."""
+    """Return per view and triangle the number of pixels (n,T) int64 in which it is visible at the threshold
+    .5."""
     drawn = soup.drawn()
 
     def job(index: int) -> np.ndarray:

@@ -52,7 +52,8 @@ class Soup:
         return (self.vertices, self.features, self.opacity, *self.mlp)
 
     def drawn(self) -> SoupArrays:
-        """Return what the CPU rasterizer draws: features and opacity through the sigmoid, the rest as it is."""
+        """Return what the CPU rasterizer draws: features and opacity through the sigmoid, the rest as it
+        is."""
         with torch.no_grad():
             values = (self.vertices, torch.sigmoid(self.features), torch.sigmoid(self.opacity), *self.mlp)
             return SoupArrays.of(np.ascontiguousarray(value.cpu().numpy(), np.float32) for value in values)
