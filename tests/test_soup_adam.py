@@ -1,4 +1,5 @@
-"""The kernels' Adam of a soup against torch's Adam and `VectorAdam` in double precision, and the MLP's moments handed on."""
+"""The kernels' Adam of a soup against torch's Adam and `VectorAdam` in double precision, and the MLP's
+moments handed on."""
 
 from __future__ import annotations
 

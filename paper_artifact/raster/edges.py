@@ -1,14 +1,15 @@
-"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as DiffSoup
-extends it).
+"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as
+DiffSoup extends it).
 
-For each pair of neighbouring pixels p, q (q right of p or below) with adjoint a = sum over channels of
-½(g_p + g_q)(c_p - c_q), the pull a·W/2 (or a·H/2) in NDC acts on each of the two visible triangles at a point m between
-the pixels. The same signed pull serves both, since adjoint and direction change sign together; inside one triangle it
-counts twice, as in DiffSoup. With mu_i = lambda_i / w_i (affine in pixels, see `visibility`) a pull g = (gx, gy, gz) moves
-clip-space corner i by mu_i(m)·(gx, gy, gz, -g·m), whatever the kind of edge.
+For each pair of neighbouring pixels p, q (q right of p or below) with adjoint a = sum over channels of ½(g_p
++ g_q)(c_p - c_q), the pull a·W/2 (or a·H/2) in NDC acts on each of the two visible triangles at a point m
+between the pixels. The same signed pull serves both, since adjoint and direction change sign together; inside
+one triangle it counts twice, as in DiffSoup. With mu_i = lambda_i / w_i (affine in pixels, see `visibility`)
+a pull g = (gx, gy, gz) moves clip-space corner i by mu_i(m)·(gx, gy, gz, -g·m), whatever the kind of edge.
 
-Pairs are collected in a queue and served sixteen at a time without a branch: a lane is a pair, and `load_rows` brings
-the planes of its triangle. So every pair costs the same, be it inside a triangle, at a border or at an intersection.
+Pairs wait in a queue, those inside a triangle in one of their own, and are served sixteen at a time without a
+branch: a lane is a pair, and `load_rows` brings its triangle's planes. So it does not matter whether a border
+or an intersection lies between two triangles.
 """
 
 from __future__ import annotations
@@ -46,9 +47,7 @@ _COLUMN, _ROW = 12, 13  # places in a row of planes, after the twelve coefficien
 class Pairs(NamedTuple):
     """A queue of up to 32 pairs of pixels p, q that await service; row r, place k is at r·32 + k."""
 
-    value: (
-        np.ndarray
-    )  # (6,32) float32: p's column and row, 1 where q is below (0: right), adjoint, depths at p and q
+    value: np.ndarray  # (6,32) float32: p's column, row, 1 where q is below (else right), adjoint, depths
     triangle: np.ndarray  # (2,32) int32: visible triangle's index + 1 at p and q, 0 where there is none
 
 
@@ -70,15 +69,14 @@ def _inside(values):
 
 
 @inlined
-def _pull_one(here, there, other_here, depth, other_depth, same, alone, pull, crossing):
-    # One pixel's view of the pairs. here, there, other_here: `_values` of its triangle at its own pixel and at the other, and of
-    # the other's triangle here; same, alone: the same triangle, nothing at the other pixel; crossing: the pull along the pair's
-    # direction and in depth where the two triangles pass through each other.
+def _pull_one(here, there, other_here, depth, other_depth, alone, pull, crossing):
+    # One pixel's view of the pairs. here, there, other_here: `_values` of its triangle at its own pixel and
+    # at the other, and of the other's triangle here; alone: nothing is visible at the other pixel; crossing:
+    # the pull along the pair's direction and in depth where the two triangles pass through each other.
     # Returns how far from here to there the pull acts (0 to 1), and its two parts.
     (p0, p1, p2, _), (q0, q1, q2, depth_there) = here, there
-    goes_on = same | _inside(there)
-    in_front = same | alone | (depth < other_depth)
-    hidden = goes_on & ~same & ~alone & (other_depth < depth_there)
+    goes_on, in_front = _inside(there), alone | (depth < other_depth)
+    hidden = goes_on & ~alone & (other_depth < depth_there)
     meets = hidden & _inside(other_here) & (depth < other_here[3])
     # Geometric edge: where the segment between the pixel centres leaves the triangle. Else the middle.
     border = select(q0 < 0.0, minimum(p0 / (p0 - q0), 1.0), 1.0)
@@ -91,7 +89,8 @@ def _pull_one(here, there, other_here, depth, other_depth, same, alone, pull, cr
 
 @inlined
 def _corners(here, there, fraction, along, deep, below, where):
-    # What the pulls do to the clip-space corners: x, y, z, w of the first, second, third. where: NDC of the point along its axis.
+    # What the pulls do to the clip-space corners: x, y, z, w of the first, second, third. where: NDC of the
+    # point along its axis.
     gx, gy = select(below, 0.0, along), select(below, along, 0.0)
     gw = -fma(along, where, deep * (0.5 * (here[3] + there[3])))
     m0 = fma(fraction, there[0] - here[0], here[0])
@@ -102,18 +101,35 @@ def _corners(here, there, fraction, along, deep, below, where):
     return (*first_two, m2 * gx, m2 * gy, m2 * deep, m2 * gw, zero, zero, zero, zero)
 
 
-@numba.njit(_nrt=False, error_model="numpy")
-def _serve(pairs, count, planes, size, corners):
-    # Add what the first sixteen pairs of the queue pull (of them, the first `count`) to corners (1 + T,16) float32.
-    value, triangle = pairs.value, pairs.triangle
-    x, y, below = load(value, 0), load(value, _QUEUE), load(value, 2 * _QUEUE) != 0.0
-    depth_p, depth_q = load(value, 4 * _QUEUE), load(value, 5 * _QUEUE)
-    t_p = select(first(count), load(triangle, 0), 0)
-    t_q = select(first(count), load(triangle, _QUEUE), 0)
+@inlined
+def _geometry(pairs, size):
+    # Of the first sixteen pairs: column and row of p and of q, whether q is below, pixels per unit of NDC and
+    # back, coordinate of p along the pair's direction (pixels from the image's border), pull.
+    x, y, below = load(pairs.value, 0), load(pairs.value, _QUEUE), load(pairs.value, 2 * _QUEUE) != 0.0
     x_q, y_q = select(below, x, x + 1.0), select(below, y + 1.0, y)
-    half = select(below, splat(0.5 * size[0]), splat(0.5 * size[1]))  # pixels per unit of NDC
+    half = select(below, splat(0.5 * size[0]), splat(0.5 * size[1]))
     scale = select(below, splat(2.0 / size[0]), splat(2.0 / size[1]))
-    pull, at, same = load(value, 3 * _QUEUE) * half, select(below, y, x) + 0.5, t_p == t_q
+    return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * _QUEUE) * half
+
+
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_inside(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, in the middle and twice since from both
+    # pixels, to corners.
+    x, y, x_q, y_q, below, _, scale, at, pull = _geometry(pairs, size)
+    t = select(first(count), load(pairs.triangle, 0), 0)
+    plane, middle, where = load_rows(planes, t), splat(0.5), (at + 0.5) * scale - 1.0
+    here, there = _values(plane, x, y), _values(plane, x_q, y_q)
+    add_to_rows(corners, t, _corners(here, there, middle, 2.0 * pull, splat(0.0), below, where))
+
+
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_edges(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, two triangles each, to corners.
+    x, y, x_q, y_q, below, half, scale, at, pull = _geometry(pairs, size)
+    depth_p, depth_q = load(pairs.value, 4 * _QUEUE), load(pairs.value, 5 * _QUEUE)
+    t_p = select(first(count), load(pairs.triangle, 0), 0)
+    t_q = select(first(count), load(pairs.triangle, _QUEUE), 0)
     plane_p, plane_q = load_rows(planes, t_p), load_rows(planes, t_q)
     p_at_p, p_at_q = _values(plane_p, x, y), _values(plane_p, x_q, y_q)
     q_at_p, q_at_q = _values(plane_q, x, y), _values(plane_q, x_q, y_q)
@@ -125,23 +141,20 @@ def _serve(pairs, count, planes, size, corners):
     ratio = select(steep, pull / difference, 0.0)  # none for (nearly) parallel planes
 
     crossing = slope_p * ratio, -ratio
-    fraction, along, deep = _pull_one(
-        p_at_p, p_at_q, q_at_p, depth_p, depth_q, same, t_q == 0, pull, crossing
-    )
+    fraction, along, deep = _pull_one(p_at_p, p_at_q, q_at_p, depth_p, depth_q, t_q == 0, pull, crossing)
     where = (at + fraction) * scale - 1.0
     add_to_rows(corners, t_p, _corners(p_at_p, p_at_q, fraction, along, deep, below, where))
 
     crossing = -slope_q * ratio, ratio
-    fraction, along, deep = _pull_one(
-        q_at_q, q_at_p, p_at_q, depth_q, depth_p, same, t_p == 0, pull, crossing
-    )
+    fraction, along, deep = _pull_one(q_at_q, q_at_p, p_at_q, depth_q, depth_p, t_p == 0, pull, crossing)
     where = (at + (1.0 - fraction)) * scale - 1.0
     add_to_rows(corners, t_q, _corners(q_at_q, q_at_p, fraction, along, deep, below, where))
 
 
 @inlined
 def _adjoints(colour, gradient, size, p, q, count):
-    # ½ sum over channels of (g_p + g_q)(c_p - c_q) of the first `count` of sixteen pairs, 0 in the other lanes.
+    # ½ sum over channels of (g_p + g_q)(c_p - c_q) of the first `count` of sixteen pairs, 0 in the other
+    # lanes.
     out = splat(0.0)
     for c in range(0, 3 * size, size):
         g = load_part(gradient, c + p, count) + load_part(gradient, c + q, count)
@@ -149,22 +162,47 @@ def _adjoints(colour, gradient, size, p, q, count):
     return 0.5 * out
 
 
+@inlined
+def _put(pairs, waiting, mask, column, row, below, adjoint, triangles, depths):
+    # Append the pairs where mask; returns how many wait now.
+    store(pairs.value, waiting, compress(to_float(iota() + column), mask))
+    store(pairs.value, waiting + _QUEUE, splat(row))
+    store(pairs.value, waiting + 2 * _QUEUE, splat(below))
+    store(pairs.value, waiting + 3 * _QUEUE, compress(adjoint, mask))
+    for k in range(2):
+        store(pairs.value, waiting + (4 + k) * _QUEUE, compress(depths[k], mask))
+        store(pairs.triangle, waiting + k * _QUEUE, compress(triangles[k], mask))
+    return waiting + popcount(bits(mask))
+
+
+@inlined
+def _drop_served(pairs):
+    # The first sixteen go.
+    for k in range(0, 6 * _QUEUE, _QUEUE):
+        store(pairs.value, k, load(pairs.value, k + WIDTH))
+    for k in range(0, 2 * _QUEUE, _QUEUE):
+        store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
     """Add the edge gradient of one view to vertex_gradient (T,3,3) float32, world.
 
-    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32; matrix (4,4) float32 is
-    world → clip.
+    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32; matrix (4,4) float32
+    is world → clip.
     """
-    height, width = colour.shape[1], colour.shape[2]
-    size, triangles = height * width, len(vertex_gradient)
-    rows, corners = np.zeros((1 + triangles, WIDTH), np.float32), np.zeros((1 + triangles, WIDTH), np.float32)
+    height, width = image = colour.shape[1:]
+    triangles = len(vertex_gradient)
+    # One row per triangle, row 0 for where none is visible: planes as `load_rows` takes them, and dL/d of the
+    # corners' clip space.
+    rows, corners = np.zeros((1 + triangles, WIDTH), np.float32), np.zeros((1 + triangles, WIDTH))
     for t in range(triangles):
         for k in range(12):
             rows[1 + t, k] = planes.coefficients[t, k]
         rows[1 + t, _COLUMN], rows[1 + t, _ROW] = planes.rectangles[t, 2], planes.rectangles[t, 0]
-    pairs = Pairs(np.zeros((6, _QUEUE), np.float32), np.zeros((2, _QUEUE), np.int32))
-    waiting = 0
+    inside = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    edges = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    waiting_inside, waiting_edges = 0, 0
     for row in range(height):
         for column in range(0, width, WIDTH):
             p = row * width + column
@@ -172,34 +210,35 @@ def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
                 q, count = p + 1, width - 1 - column
                 if below:
                     q, count = p + width, (width - column if row + 1 < height else 0)
-                adjoint = _adjoints(colour, gradient, size, p, q, count)
+                adjoint = _adjoints(colour, gradient, height * width, p, q, count)
                 t_p = load_part(surface.triangle, p, count) + 1
                 t_q = load_part(surface.triangle, q, count) + 1
                 active = (adjoint != 0.0) & ((t_p | t_q) != 0)
                 if bits(active) == 0:
                     continue
-                store(pairs.value, waiting, compress(to_float(iota() + column), active))
-                store(pairs.value, waiting + _QUEUE, splat(row))
-                store(pairs.value, waiting + 2 * _QUEUE, splat(below))
-                store(pairs.value, waiting + 3 * _QUEUE, compress(adjoint, active))
-                depth_p, depth_q = load_part(surface.depth, p, count), load_part(surface.depth, q, count)
-                store(pairs.value, waiting + 4 * _QUEUE, compress(depth_p, active))
-                store(pairs.value, waiting + 5 * _QUEUE, compress(depth_q, active))
-                store(pairs.triangle, waiting, compress(t_p, active))
-                store(pairs.triangle, waiting + _QUEUE, compress(t_q, active))
-                waiting += popcount(bits(active))
-                if waiting >= WIDTH:
-                    _serve(pairs, WIDTH, rows, (height, width), corners)
-                    waiting -= WIDTH
-                    for k in range(0, 6 * _QUEUE, _QUEUE):
-                        store(pairs.value, k, load(pairs.value, k + WIDTH))
-                    for k in range(0, 2 * _QUEUE, _QUEUE):
-                        store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
-    _serve(pairs, waiting, rows, (height, width), corners)
+                depths = load_part(surface.depth, p, count), load_part(surface.depth, q, count)
+                mask = active & (t_p == t_q)
+                waiting_inside = _put(
+                    inside, waiting_inside, mask, column, row, below, adjoint, (t_p, t_q), depths
+                )
+                if waiting_inside >= WIDTH:
+                    _serve_inside(inside, WIDTH, rows, image, corners)
+                    _drop_served(inside)
+                    waiting_inside -= WIDTH
+                mask = active & (t_p != t_q)
+                waiting_edges = _put(
+                    edges, waiting_edges, mask, column, row, below, adjoint, (t_p, t_q), depths
+                )
+                if waiting_edges >= WIDTH:
+                    _serve_edges(edges, WIDTH, rows, image, corners)
+                    _drop_served(edges)
+                    waiting_edges -= WIDTH
+    _serve_inside(inside, waiting_inside, rows, image, corners)
+    _serve_edges(edges, waiting_edges, rows, image, corners)
     for t in range(triangles):
         for i in range(3):
             for axis in range(3):
                 total = 0.0
                 for k in range(4):
-                    total += matrix[k, axis] * float(corners[1 + t, 4 * i + k])
+                    total += matrix[k, axis] * corners[1 + t, 4 * i + k]
                 vertex_gradient[t, i, axis] += total

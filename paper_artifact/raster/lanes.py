@@ -50,7 +50,8 @@ shape. Nothing is checked.
     scatter(x, indices, a, m)            the later lane wins where indices repeat
     load_rows(x, indices)                rows of x (n,16) as the tuple of their sixteen columns: sixteen loads and 64 shuffles, about
                                          a quarter of what sixteen gathers cost
-    add_to_rows(x, indices, columns)     x[indices] += such a tuple, float32; one row after another, so indices may repeat
+    add_to_rows(x, indices, columns)     x[indices] += such a tuple, one row after another, so indices may repeat; x float32 or
+                                         float64
 
 To see what became of a kernel: `kernel.inspect_llvm(kernel.signatures[0])` holds "<16 x float>" and no "extractelement" in its
 loops; `kernel.inspect_asm(…)` names zmm or ymm registers. NUMBA_CPU_NAME=haswell compiles for AVX2. Nothing here asks LLVM to
@@ -473,7 +474,9 @@ def _transposed(builder, rows):
 
     low, high = quarters(0, WIDTH, 1, WIDTH + 1), quarters(2, WIDTH + 2, 3, WIDTH + 3)
     low_pair, high_pair = quarters(0, 1, WIDTH, WIDTH + 1), quarters(2, 3, WIDTH + 2, WIDTH + 3)
-    even, odd = ([4 * q + k for q in (first, first + 2, first + 4, first + 6) for k in range(4)] for first in (0, 1))
+    even, odd = (
+        [4 * q + k for q in (first, first + 2, first + 4, first + 6) for k in range(4)] for first in (0, 1)
+    )
     for distance, masks in ((1, (low, high)), (2, (low_pair, high_pair)), (4, (even, odd)), (8, (even, odd))):
         shuffled = list(rows)
         for k in range(WIDTH):
@@ -486,16 +489,22 @@ def _transposed(builder, rows):
 
 
 def _row_pointers(context, builder, array_type, array, indices):
-    data = context.make_array(array_type)(context, builder, array).data
+    # Pointers to sixteen rows of an array (n,16), and the vector type of its elements.
+    element = ir.DoubleType() if array_type.dtype == types.float64 else ir.FloatType()
+    vector = ir.VectorType(element, WIDTH)
+    data, pointers = context.make_array(array_type)(context, builder, array).data, []
     for k in range(WIDTH):
         row = builder.sext(builder.extract_element(indices, _index(k)), ir.IntType(64))
-        yield builder.bitcast(builder.gep(data, [builder.shl(row, row.type(4))]), F32.llvm.as_pointer())
+        pointers.append(
+            builder.bitcast(builder.gep(data, [builder.shl(row, row.type(4))]), vector.as_pointer())
+        )
+    return vector, pointers
 
 
 @intrinsic
 def load_rows(typing, array, indices):
     def code(context, builder, sig, arguments):
-        pointers = _row_pointers(context, builder, array, *arguments)
+        _, pointers = _row_pointers(context, builder, array, *arguments)
         rows = [builder.load(pointer, align=4) for pointer in pointers]
         return context.make_tuple(builder, sig.return_type, _transposed(builder, rows))
 
@@ -506,7 +515,9 @@ def load_rows(typing, array, indices):
 def add_to_rows(typing, array, indices, columns):
     def code(context, builder, sig, arguments):
         rows = _transposed(builder, cgutils.unpack_tuple(builder, arguments[2], WIDTH))
-        for pointer, row in zip(_row_pointers(context, builder, array, *arguments[:2]), rows, strict=True):
+        vector, pointers = _row_pointers(context, builder, array, *arguments[:2])
+        for pointer, row in zip(pointers, rows, strict=True):
+            row = builder.fpext(row, vector) if array.dtype == types.float64 else row
             builder.store(builder.fadd(builder.load(pointer, align=4), row), pointer, align=4)
 
     return types.void(array, indices, columns), code

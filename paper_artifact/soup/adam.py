@@ -1,7 +1,9 @@
-"""Adam for a soup: one kernel per rule on the CPU, torch's optimisers on other devices; both with the same three methods.
+"""Adam for a soup: one kernel per rule on the CPU, torch's optimisers on other devices; both with the same
+three methods.
 
-Plain Adam (Kingma & Ba, ICLR 2015) for features, opacity and MLP, `VectorAdam` for the vertices; betas (.9, .999), eps 1e-8,
-bias-corrected. Learning rates are given anew at every step, by the name of what they move: "vertices", "features", "opacity", "mlp".
+Plain Adam (Kingma & Ba, ICLR 2015) for features, opacity and MLP, `VectorAdam` for the vertices; betas (.9,
+.999), eps 1e-8, bias-corrected. Learning rates are given anew at every step, by the name of what they move:
+"vertices", "features", "opacity", "mlp".
 """
 
 from __future__ import annotations
@@ -50,7 +52,8 @@ def vector_adam(value, gradient, mean, square, rate, eps):
 def corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
     """Return learning rate and eps with the bias corrections of `step` (from 1) in them.
 
-    rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square + eps·√c2).
+    rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square +
+    eps·√c2).
     """
     root = (1 - _BETA2**step) ** 0.5
     return np.float32(rate * root / (1 - _BETA1**step)), np.float32(_EPS * root)
