@@ -222,6 +222,23 @@ def test_photometric_loss_and_gradient_agree(size, everywhere):
     assert distance(np.stack(gradients), reference.grad) < 1e-4
 
 
+@pytest.mark.parametrize("size", [(22, 67), (31, 16), (45, 23)])
+def test_a_target_of_bytes_gives_the_bits_of_its_fractions(size):
+    draw = torch.Generator().manual_seed(7)
+    levels = torch.randint(0, 256, (3, *size), generator=draw, dtype=torch.uint8).numpy()
+    view = ViewRaster(*size)
+    view.colour[:] = torch.rand(3, *size, generator=draw).numpy()
+    found = []
+    for target in (levels, levels / np.float32(255)):
+        value = view.compare(make_target(target), 2)
+        found.append((value, view.gradient.copy(), view.error[: size[0] * size[1]].copy()))
+    assert found[0][0] == found[1][0]
+    assert np.array_equal(found[0][1], found[1][1]) and np.array_equal(found[0][2], found[1][2])
+    np.testing.assert_allclose(
+        found[0][2], np.abs(view.colour - levels / np.float32(255)).sum(0).reshape(-1), rtol=1e-6
+    )
+
+
 def test_a_target_below_the_window_of_ssim_is_refused():
     with pytest.raises(InputError, match="at least 11 × 11 pixels, got 10 × 20"):
         make_target(np.zeros((3, 10, 20), np.float32))

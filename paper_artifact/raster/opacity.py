@@ -45,7 +45,7 @@ def opacity_backward(planes, met, opacity, width, surface, error, weight, opacit
                 reached = inside(values) & first(columns - column) & (visible | (z < load(depth, pixel)))
                 if bits(reached) == 0:
                     continue
-                inverse = 1.0 / (m0 + m1 + m2)
+                inverse = select(reached, 1.0 / (m0 + m1 + m2), 0.0)  # elsewhere 1/w may be 0
                 w0, w1 = m0 * inverse, m1 * inverse
                 w2 = 1.0 - w0 - w1
                 alpha = w0 * o0 + w1 * o1 + w2 * o2

@@ -273,7 +273,7 @@ def photometric_view(colour, target, views, gradient, error):
 
 
 def make_target(image: np.ndarray) -> np.ndarray:
-    """Return the target of an image (3,H,W) in [0,1] as the kernel takes it: uint8 where that loses nothing, else float32.
+    """Return the target of an image (3,H,W) as the kernel takes it: contiguous, uint8 (255 is 1) or float32 in [0,1].
 
     Raises InputError below 11×11 pixels.
     """
@@ -282,6 +282,4 @@ def make_target(image: np.ndarray) -> np.ndarray:
         raise InputError(
             f"an image needs at least {TAPS} × {TAPS} pixels, got {height} × {width}; render it larger"
         )
-    image = np.ascontiguousarray(image, np.float32)
-    levels = np.rint(255 * image).astype(np.uint8)
-    return levels if np.array_equal(levels / np.float32(255), image) else image
+    return np.ascontiguousarray(image, np.uint8 if image.dtype == np.uint8 else np.float32)

@@ -61,7 +61,7 @@ def reconstruct(
             soup = load_soup(soup_path(record, results))
             made.append(
                 Reconstruction(
-                    shape, record, soup, scene.images[scene.holdout], render_views(soup, scene, scene.holdout)
+                    shape, record, soup, scene.colours(scene.holdout), render_views(soup, scene, scene.holdout)
                 )
             )
     return tuple(made)

@@ -24,7 +24,7 @@ HOLDOUT_EVERY = 8
 class Scene:
     """A scene as the trainer sees it; `n` views in the order of their names.
 
-    images (n,H,W,3) float32 in [0,1], row 0 on top; world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
+    images (n,H,W,3) uint8, row 0 on top (`colours` gives them in [0,1]); world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
     camera_centres (n,3), points (P,3) float32, world units; background (3,) float32 in [0,1]; train (k,), holdout (m,)
     int64 view indices: every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup. `radius` is the
     scene's bounding radius in world units, the unit of learning rates and of the near and far planes.
@@ -40,6 +40,10 @@ class Scene:
     train: np.ndarray
     holdout: np.ndarray
     radius: float = 1.0
+
+    def colours(self, views: np.ndarray | int) -> np.ndarray:
+        """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
+        return self.images[views] / np.float32(255)
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -161,14 +165,15 @@ def _cloud_radius(positions: np.ndarray) -> float:
 
 
 def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """One image (H,W,3) float32 in [0,1]; `aspect` is the camera's width / height, resized copies are welcome."""
+    """One image (H,W,3) uint8, over the background where it is transparent; `aspect` is the camera's width / height, resized copies are welcome."""
     try:
         with Image.open(file) as opened:
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
                 pixels = np.asarray(opened.convert("RGBA"), dtype=np.float32) / 255
                 pixels = pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:])
+                pixels = np.rint(255 * pixels).astype(np.uint8)
             elif opened.mode in ("RGB", "L", "P", "1", "CMYK", "YCbCr"):
-                pixels = np.asarray(opened.convert("RGB"), dtype=np.float32) / 255
+                pixels = np.asarray(opened.convert("RGB"))
             else:
                 raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
     except FileNotFoundError as error:

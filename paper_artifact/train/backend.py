@@ -18,7 +18,7 @@ from paper_artifact.soup.state import Soup
 
 
 class CpuBackend:
-    """Numba kernels; targets are kept as bytes where that loses nothing."""
+    """Numba kernels; targets are kept as bytes."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
         self._targets = {int(view): make_target(scene.images[view].transpose(2, 0, 1)) for view in views}
@@ -54,7 +54,7 @@ class TwinBackend:
     ) -> None:
         self._device, self._dtype = torch.device(device), dtype
         self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = torch.from_numpy(scene.images[views].transpose(0, 3, 1, 2)).to(self._device, dtype)
+        self._targets = torch.from_numpy(scene.colours(views).transpose(0, 3, 1, 2)).to(self._device, dtype)
         self._matrices = torch.from_numpy(scene.world_to_clip).to(self._device, dtype)
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
