@@ -135,6 +135,15 @@ def test_edge_gradient_agrees():
     assert (per_triangle > 1e-2 * size + 1e-6 * size.max()).float().mean() < 0.02
 
 
+@pytest.mark.parametrize("layer", range(6))
+def test_a_broken_mlp_shows(layer):
+    soup, camera = soup_arrays(2, 60), make_camera(cameras(2, 1)[0].numpy())
+    soup.mlp[layer][...] = np.nan
+    view = ViewRaster(33, 41)
+    view.render(soup, camera, BACKGROUND)
+    assert np.array_equal(np.isnan(view.colour), np.broadcast_to(view.seen() > 0, view.colour.shape))
+
+
 @pytest.mark.parametrize("count", [1, 2, 90])
 @pytest.mark.parametrize("size", [(22, 23), (23, 67), (67, 22), (31, 33), (64, 45), (16, 17)])
 def test_edge_gradient_agrees_at_any_size(size, count):
