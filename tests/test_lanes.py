@@ -191,3 +191,27 @@ def test_the_compiled_kernel_works_on_vectors():
     run(floats(0, 16), floats(1, 16), np.empty(16, np.float32))
     code = run.inspect_llvm(run.signatures[0])
     assert "fadd <16 x float>" in code and "fdiv <16 x float>" in code
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("rows", [1, 5, 40])
+def test_rows_are_loaded_as_columns_and_added_one_after_another(rows, kind):
+    @numba.njit
+    def run(x, indices, out, sums):
+        at = lanes.load(indices, 0)
+        columns = lanes.load_rows(x, at)
+        for k in range(WIDTH):
+            lanes.store(out, k * WIDTH, columns[k])
+        lanes.add_to_rows(sums, at, columns)
+
+    x = floats(0, rows * WIDTH).reshape(rows, WIDTH)
+    indices = stream(1, "lanes test").integers(0, rows, WIDTH).astype(np.int32)
+    out, sums = (
+        np.zeros((WIDTH, WIDTH), np.float32),
+        floats(2, rows * WIDTH).reshape(rows, WIDTH).astype(kind),
+    )
+    expected = sums.copy()
+    for row in indices:
+        expected[row] += x[row]
+    run(x, indices, out, sums)
+    assert np.array_equal(out, x[indices].T) and np.array_equal(sums, expected)

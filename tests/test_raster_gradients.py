@@ -17,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
 from paper_artifact.raster import draws, twin
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera
-from tests.raster_cases import BACKGROUND, cameras, distance, doubles, soup_arrays
+from tests.raster_cases import BACKGROUND, cameras, distance, doubles, front_camera, soup_arrays
 
 FLIPS = 5e-4  # largest allowed fraction of pixels where the two disagree on the visible triangle
 
@@ -132,6 +133,65 @@ def test_edge_gradient_agrees():
     per_triangle = (torch.from_numpy(found).double() - expected).flatten(1).norm(dim=1)
     size = expected.flatten(1).norm(dim=1)
     assert (per_triangle > 1e-2 * size + 1e-6 * size.max()).float().mean() < 0.02
+
+
+@pytest.mark.parametrize("layer", range(6))
+def test_a_broken_mlp_shows(layer):
+    soup, camera = soup_arrays(2, 60), make_camera(cameras(2, 1)[0].numpy())
+    soup.mlp[layer][...] = np.nan
+    view = ViewRaster(33, 41)
+    view.render(soup, camera, BACKGROUND)
+    assert np.array_equal(np.isnan(view.colour), np.broadcast_to(view.seen() > 0, view.colour.shape))
+
+
+@pytest.mark.parametrize("count", [1, 2, 90])
+@pytest.mark.parametrize("size", [(22, 23), (23, 67), (67, 22), (31, 33), (64, 45), (16, 17)])
+def test_edge_gradient_agrees_at_any_size(size, count):
+    case = make_case(sum(size) + count, count=count, size=size)
+    found, expected = edge_gradients(case, incoming(case, 3, margin=1))
+    assert distance(found, expected) < 1e-4
+
+
+def test_edge_gradient_of_one_triangle_all_over_the_image():
+    """60,000 pairs of one triangle: their sum keeps its precision."""
+    size, soup, camera = (201, 157), soup_arrays(3, 1), make_camera(front_camera()[0].numpy())
+    vertices = np.array([[[-9, -8, 0], [10, -7, 1], [0, 12, -1]]], np.float32)
+    view = ViewRaster(*size)
+    view.render(soup._replace(vertices=vertices, opacity=np.ones((1, 3), np.float32)), camera, BACKGROUND)
+    assert view.seen().all()
+    draw = torch.Generator().manual_seed(3)
+    colour, gradient = (torch.randn(1, 3, *size, generator=draw) for _ in range(2))
+    view.colour[:], view.gradient[:] = colour[0], gradient[0]
+    found = np.zeros_like(vertices)
+    view.add_edge_gradient(camera.matrix, found)
+    leaf, matrix = torch.from_numpy(vertices).double(), torch.from_numpy(camera.matrix).double()[None]
+    reference = twin.rasterize(leaf, torch.ones(1, 3).double(), matrix, *size, None)
+    leaf.requires_grad_()
+    twin.edge_gradient(colour.double(), leaf, reference, matrix).backward(gradient.double())
+    assert distance(found, leaf.grad) < 2e-6
+
+
+def test_edge_gradient_of_no_triangle():
+    view = ViewRaster(23, 35)
+    view.render(soup_arrays(1, 0), make_camera(front_camera()[0].numpy()), BACKGROUND, 7)
+    view.gradient[:] = 1.0
+    view.colour[:] = stream(1, "colour").random(view.colour.shape)
+    found = np.zeros((0, 3, 3), np.float32)
+    view.add_edge_gradient(np.eye(4, dtype=np.float32), found)
+
+
+def test_edge_gradient_of_hidden_triangles_is_none():
+    """Behind the camera, beyond a clip plane, without area, covered by another one: not a bit."""
+    near = np.array([[-3, -3, 0], [4, -3, 0], [0, 5, 0]])
+    others = [near - [0, 0, 9], near + [60, 0, 0], near[[0, 0, 1]], 0.3 * near + [0, 0, 1]]
+    vertices, view = np.stack([near, *others]).astype(np.float32), ViewRaster(33, 41)
+    soup = soup_arrays(1, 5)._replace(vertices=vertices, opacity=np.ones((5, 3), np.float32))
+    camera = make_camera(front_camera()[0].numpy())
+    view.render(soup, camera, BACKGROUND)
+    view.gradient[:] = stream(1, "gradient").normal(size=view.gradient.shape)
+    found = np.zeros_like(vertices)
+    view.add_edge_gradient(camera.matrix, found)
+    assert found[0].any() and not found[1:].any()
 
 
 def test_opacity_gradient_agrees():

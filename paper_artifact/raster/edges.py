@@ -1,271 +1,244 @@
-"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as DiffSoup extends it).
+"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as
+DiffSoup extends it).
 
-For each visible pixel p and each of its four neighbours q, with adjoint a = sum over channels of ½(g_p + g_q)(c_p - c_q), a pull acts
-on p's triangle at a point m between the two: in the middle where the triangle goes on to q, at its border where it ends before, and
-not at all where another triangle is in front there. With mu_i = lambda_i / w_i (affine in pixels) a pull (gx, gy, gz) in NDC moves
-the clip-space corner i by mu_i(m) · (gx, gy, gz, -g·m). The visible pixels of a triangle are served together, sixteen at a
-time, and its sums stay in registers until it is done.
+For each pair of neighbouring pixels p, q (q right of p or below) with adjoint a = sum over channels of ½(g_p
++ g_q)(c_p - c_q), the pull a·W/2 (or a·H/2) in NDC acts on each of the two visible triangles at a point m
+between the pixels. The same signed pull serves both, since adjoint and direction change sign together; inside
+one triangle it counts twice, as in DiffSoup. With mu_i = lambda_i / w_i (affine in pixels, see `visibility`)
+a pull g = (gx, gy, gz) moves clip-space corner i by mu_i(m)·(gx, gy, gz, -g·m), whatever the kind of edge.
 
-A pair inside one triangle is met from both its pixels and counts twice, as in DiffSoup.
+Pairs wait in a queue, those inside a triangle in one of their own, and are served sixteen at a time without a
+branch: a lane is a pair, and `load_rows` brings its triangle's planes. So it does not matter whether a border
+or an intersection lies between two triangles.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from paper_artifact.raster.lanes import (
     WIDTH,
+    add_to_rows,
     bits,
+    compress,
     first,
-    floor,
     fma,
-    gather,
     inlined,
+    iota,
     load,
     load_part,
+    load_rows,
     maximum,
+    minimum,
     popcount,
     select,
     splat,
     store,
-    store_part,
     to_float,
-    total,
-    trailing_zeros,
 )
 
+_QUEUE = 2 * WIDTH
+_COLUMN, _ROW = 12, 13  # places in a row of planes, after the twelve coefficients
 
-@numba.njit(cache=True, nogil=True)
-def edge_adjoints(colour, gradient, adjoints):
-    """Fill adjoints (2,H+1,W) float32, which must have been zeros at first: for the pixel (row, column) stands at [0, row + 1, column]
-    its adjoint with the right neighbour (in the last column: rubbish), at [1, row + 1, column] that with the lower one (in the last
-    row: 0). colour and gradient (dL/dcolour) (3,H,W) float32."""
-    height, width = colour.shape[1], colour.shape[2]
-    size = height * width
-    for axis in range(2):
-        step, first_of = (width if axis else 1), (axis * (height + 1) + 1) * width
-        for p in range(0, size - step, WIDTH):
-            count, sum_of = size - step - p, splat(0.0)
-            for c in range(3):
-                at = c * size + p
-                pull = load_part(gradient, at, count) + load_part(gradient, at + step, count)
-                fall = load_part(colour, at, count) - load_part(colour, at + step, count)
-                sum_of = fma(pull, fall, sum_of)
-            store_part(adjoints, first_of + p, 0.5 * sum_of, count)
+
+class Pairs(NamedTuple):
+    """A queue of up to 32 pairs of pixels p, q that await service; row r, place k is at r·32 + k."""
+
+    value: np.ndarray  # (6,32) float32: p's column, row, 1 where q is below (else right), adjoint, depths
+    triangle: np.ndarray  # (2,32) int32: visible triangle's index + 1 at p and q, 0 where there is none
 
 
 @inlined
-def _border(p, q):
-    # Where the segment from p (0, inside) to q (1) first leaves the triangle: the smallest p_i / (p_i - q_i) of those with q_i < 0.
-    over, under = splat(1.0), splat(1.0)
-    for i in range(3):
-        fall = p[i] - q[i]
-        earlier = (q[i] < 0.0) & (p[i] * under < over * fall)
-        over, under = select(earlier, p[i], over), select(earlier, fall, under)
-    return maximum(over / under, 0.0)
-
-
-@inlined
-def _meet(p, q, active, t, other, depth_q):
-    # One pixel's view of the pairs with neighbours q. p, q: mu_0, mu_1, mu_2 and depth of the own triangle t there; other, depth_q: what
-    # is visible at q. Returns where between p (0) and q (1) the pull acts, who is pulled, and who may meet an intersection.
-    same = other == t
-    continues = (q[0] >= 0.0) & (q[1] >= 0.0) & (q[2] >= 0.0)
-    in_front = (other < 0) | (p[3] < depth_q)
-    hidden = continues & ~same & (other >= 0) & (depth_q < q[3])
-    # Only where it is asked for: in a lane without a pair it may be infinite, and its pull of 0 would not help.
-    fraction = select(active & ~(same | continues), _border(p, q), 0.5)
-    return fraction, active & (same | (in_front & ~hidden)), active & hidden
-
-
-@inlined
-def _add(sums, pull, p, q, fraction):
-    # sums_i + pull · mu_i(m)
-    s0, s1, s2 = sums
+def _values(plane, x, y):
+    # mu_0, mu_1, mu_2 and depth of sixteen triangles, each at its pixel (column x, row y).
+    x, y = x - plane[_COLUMN], y - plane[_ROW]
     return (
-        fma(pull, fma(fraction, q[0] - p[0], p[0]), s0),
-        fma(pull, fma(fraction, q[1] - p[1], p[1]), s1),
-        fma(pull, fma(fraction, q[2] - p[2], p[2]), s2),
+        fma(plane[2], y, fma(plane[1], x, plane[0])),
+        fma(plane[5], y, fma(plane[4], x, plane[3])),
+        fma(plane[8], y, fma(plane[7], x, plane[6])),
+        fma(plane[11], y, fma(plane[10], x, plane[9])),
     )
 
 
 @inlined
-def _pull(sums, moments, p, q, fraction, pull, middle, step):
-    # Add the pulls along an axis to sums (of mu_i·g), and to moments (of mu_i·g·m); m = middle + fraction·step on that axis, NDC.
-    moment = pull * fma(fraction, step, middle)
-    return _add(sums, pull, p, q, fraction), _add(moments, moment, p, q, fraction)
+def _inside(values):
+    return (values[0] >= 0.0) & (values[1] >= 0.0) & (values[2] >= 0.0)
 
 
 @inlined
-def _value(coefficients, rectangles, t, which, column, row):
-    # mu_0, mu_1, mu_2 or depth of triangle t at one pixel, or between two.
-    x, y = np.float32(column - rectangles[t, 2]), np.float32(row - rectangles[t, 0])
-    k = 3 * which
-    return coefficients[t, k] + coefficients[t, k + 1] * x + coefficients[t, k + 2] * y
+def _pull_one(here, there, other_here, depth, other_depth, alone, pull, crossing):
+    # One pixel's view of the pairs. here, there, other_here: `_values` of its triangle at its own pixel and
+    # at the other, and of the other's triangle here; alone: nothing is visible at the other pixel; crossing:
+    # the pull along the pair's direction and in depth where the two triangles pass through each other.
+    # Returns how far from here to there the pull acts (0 to 1), and its two parts.
+    (p0, p1, p2, _), (q0, q1, q2, depth_there) = here, there
+    goes_on, in_front = _inside(there), alone | (depth < other_depth)
+    hidden = goes_on & ~alone & (other_depth < depth_there)
+    meets = hidden & _inside(other_here) & (depth < other_here[3])
+    # Geometric edge: where the segment between the pixel centres leaves the triangle. Else the middle.
+    border = select(q0 < 0.0, minimum(p0 / (p0 - q0), 1.0), 1.0)
+    border = select(q1 < 0.0, minimum(p1 / (p1 - q1), border), border)
+    border = select(q2 < 0.0, minimum(p2 / (p2 - q2), border), border)
+    fraction = select(goes_on, 0.5, maximum(border, 0.0))
+    along = select(meets, crossing[0], select(in_front & ~hidden, pull, 0.0))
+    return fraction, along, select(meets, crossing[1], 0.0)
 
 
 @inlined
-def _serve(p, q, mine, t, triangle, depth, neighbour, adjoints, pair, scale):
-    # Fraction and pull (0 where there is none) of the pairs with `neighbour`, and who may meet an intersection.
-    adjoint = gather(adjoints, pair, mine)
-    active = adjoint != 0.0
-    other, depth_q = gather(triangle, neighbour, active), gather(depth, neighbour, active)
-    fraction, pulled, hidden = _meet(p, q, active, t, other, depth_q)
-    return fraction, select(pulled, scale * adjoint, 0.0), bits(hidden)
+def _corners(here, there, fraction, along, deep, below, where):
+    # What the pulls do to the clip-space corners: x, y, z, w of the first, second, third. where: NDC of the
+    # point along its axis.
+    gx, gy = select(below, 0.0, along), select(below, along, 0.0)
+    gw = -fma(along, where, deep * (0.5 * (here[3] + there[3])))
+    m0 = fma(fraction, there[0] - here[0], here[0])
+    m1 = fma(fraction, there[1] - here[1], here[1])
+    m2 = fma(fraction, there[2] - here[2], here[2])
+    first_two = m0 * gx, m0 * gy, m0 * deep, m0 * gw, m1 * gx, m1 * gy, m1 * deep, m1 * gw
+    zero = splat(0.0)
+    return (*first_two, m2 * gx, m2 * gy, m2 * deep, m2 * gw, zero, zero, zero, zero)
 
 
 @inlined
-def _intersect(coefficients, rectangles, t, other, column, row, axis, step, depth, pull, scale, corners):
-    # Two triangles pass through each other between a pixel and its neighbour `step` further along axis (0: x, 1: y), unless the other
-    # one is behind t at the pixel itself: the pull goes along t's normal, as far as that moves the crossing line. Adds to corners.
-    if not depth < _value(coefficients, rectangles, other, 3, column, row):
-        return
-    for i in range(3):
-        if not _value(coefficients, rectangles, other, i, column, row) >= 0:
-            return
-    # The normals are (-slope, 1) of each depth plane in the plane of the axis and z, NDC.
-    vary, fixed = coefficients[t, 10 + axis] / scale, coefficients[other, 10 + axis] / scale
-    difference = vary - fixed
-    if not abs(difference) > 1e-12 * np.sqrt((1.0 + vary * vary) * (1.0 + fixed * fixed)):
-        return
-    x, y = (column, row + 0.5 * step) if axis else (column + 0.5 * step, row)
-    across, deep = pull * vary / difference, -pull / difference
-    where = ((y if axis else x) + 0.5) * scale - 1.0
-    moment = across * where + deep * _value(coefficients, rectangles, t, 3, x, y)
-    for i in range(3):
-        mu = _value(coefficients, rectangles, t, i, x, y)
-        corners[i, axis] += mu * across
-        corners[i, 2] += mu * deep
-        corners[i, 3] -= mu * moment
+def _geometry(pairs, size):
+    # Of the first sixteen pairs: column and row of p and of q, whether q is below, pixels per unit of NDC and
+    # back, coordinate of p along the pair's direction (pixels from the image's border), pull.
+    x, y, below = load(pairs.value, 0), load(pairs.value, _QUEUE), load(pairs.value, 2 * _QUEUE) != 0.0
+    x_q, y_q = select(below, x, x + 1.0), select(below, y + 1.0, y)
+    half = select(below, splat(0.5 * size[0]), splat(0.5 * size[1]))
+    scale = select(below, splat(2.0 / size[0]), splat(2.0 / size[1]))
+    return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * _QUEUE) * half
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def _intersections(
-    hidden,
-    coefficients,
-    rectangles,
-    t,
-    triangle,
-    depth,
-    pixels,
-    k,
-    width,
-    adjoints,
-    below_first,
-    scales,
-    corners,
-):
-    # hidden: four sets of lanes (right, left, below, above) of the pixels from number k on.
-    for direction in range(4):
-        axis, step = direction // 2, 1 - 2 * (direction % 2)
-        apart, first_of = (step * width, below_first) if axis else (step, width)
-        some = hidden[direction]
-        while some:
-            pixel = pixels[k + trailing_zeros(some)]
-            some &= some - 1
-            pull = adjoints[first_of + min(pixel, pixel + apart)] / scales[axis]
-            _intersect(
-                coefficients,
-                rectangles,
-                t,
-                triangle[pixel + apart],
-                pixel % width,
-                pixel // width,
-                axis,
-                step,
-                depth[pixel],
-                pull,
-                scales[axis],
-                corners,
-            )
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_inside(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, in the middle and twice since from both
+    # pixels, to corners.
+    x, y, x_q, y_q, below, _, scale, at, pull = _geometry(pairs, size)
+    t = select(first(count), load(pairs.triangle, 0), 0)
+    plane, middle, where = load_rows(planes, t), splat(0.5), (at + 0.5) * scale - 1.0
+    here, there = _values(plane, x, y), _values(plane, x_q, y_q)
+    add_to_rows(corners, t, _corners(here, there, middle, 2.0 * pull, splat(0.0), below, where))
+
+
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_edges(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, two triangles each, to corners.
+    x, y, x_q, y_q, below, half, scale, at, pull = _geometry(pairs, size)
+    depth_p, depth_q = load(pairs.value, 4 * _QUEUE), load(pairs.value, 5 * _QUEUE)
+    t_p = select(first(count), load(pairs.triangle, 0), 0)
+    t_q = select(first(count), load(pairs.triangle, _QUEUE), 0)
+    plane_p, plane_q = load_rows(planes, t_p), load_rows(planes, t_q)
+    p_at_p, p_at_q = _values(plane_p, x, y), _values(plane_p, x_q, y_q)
+    q_at_p, q_at_q = _values(plane_q, x, y), _values(plane_q, x_q, y_q)
+    # Intersection edge. The normals are (-slope, 1) of each depth plane in the x-z (or y-z) plane, NDC.
+    slope_p = select(below, plane_p[11], plane_p[10]) * half
+    slope_q = select(below, plane_q[11], plane_q[10]) * half
+    difference = slope_p - slope_q
+    steep = difference * difference > 1e-24 * (1.0 + slope_p * slope_p) * (1.0 + slope_q * slope_q)
+    ratio = select(steep, pull / difference, 0.0)  # none for (nearly) parallel planes
+
+    crossing = slope_p * ratio, -ratio
+    fraction, along, deep = _pull_one(p_at_p, p_at_q, q_at_p, depth_p, depth_q, t_q == 0, pull, crossing)
+    where = (at + fraction) * scale - 1.0
+    add_to_rows(corners, t_p, _corners(p_at_p, p_at_q, fraction, along, deep, below, where))
+
+    crossing = -slope_q * ratio, ratio
+    fraction, along, deep = _pull_one(q_at_q, q_at_p, p_at_q, depth_q, depth_p, t_p == 0, pull, crossing)
+    where = (at + (1.0 - fraction)) * scale - 1.0
+    add_to_rows(corners, t_q, _corners(q_at_q, q_at_p, fraction, along, deep, below, where))
 
 
 @inlined
-def _values(coefficients, t, x, y):
-    # mu_0, mu_1, mu_2 and depth of triangle t, x and y from its first column and row on; the same bits as in `visibility`.
-    return (
-        (coefficients[t, 0] + coefficients[t, 2] * y) + coefficients[t, 1] * x,
-        (coefficients[t, 3] + coefficients[t, 5] * y) + coefficients[t, 4] * x,
-        (coefficients[t, 6] + coefficients[t, 8] * y) + coefficients[t, 7] * x,
-        (coefficients[t, 9] + coefficients[t, 11] * y) + coefficients[t, 10] * x,
-    )
+def _adjoints(colour, gradient, size, p, q, count):
+    # ½ sum over channels of (g_p + g_q)(c_p - c_q) of the first `count` of sixteen pairs, 0 in the other
+    # lanes.
+    out = splat(0.0)
+    for c in range(0, 3 * size, size):
+        g = load_part(gradient, c + p, count) + load_part(gradient, c + q, count)
+        out = fma(g, load_part(colour, c + p, count) - load_part(colour, c + q, count), out)
+    return 0.5 * out
 
 
 @inlined
-def _flush(gradient, t, by_x, by_y, by_w, corners, matrix):
-    # Clip space to world.
-    for i in range(3):
-        gx, gy = corners[i, 0] + total(by_x[i]), corners[i, 1] + total(by_y[i])
-        gz, gw = corners[i, 2], corners[i, 3] - total(by_w[i])
-        for axis in range(3):
-            gradient[t, i, axis] += (
-                matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
-            )
+def _put(pairs, waiting, mask, column, row, below, adjoint, triangles, depths):
+    # Append the pairs where mask; returns how many wait now.
+    store(pairs.value, waiting, compress(to_float(iota() + column), mask))
+    store(pairs.value, waiting + _QUEUE, splat(row))
+    store(pairs.value, waiting + 2 * _QUEUE, splat(below))
+    store(pairs.value, waiting + 3 * _QUEUE, compress(adjoint, mask))
+    for k in range(2):
+        store(pairs.value, waiting + (4 + k) * _QUEUE, compress(depths[k], mask))
+        store(pairs.triangle, waiting + k * _QUEUE, compress(triangles[k], mask))
+    return waiting + popcount(bits(mask))
+
+
+@inlined
+def _drop_served(pairs):
+    # The first sixteen go.
+    for k in range(0, 6 * _QUEUE, _QUEUE):
+        store(pairs.value, k, load(pairs.value, k + WIDTH))
+    for k in range(0, 2 * _QUEUE, _QUEUE):
+        store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def edge_backward(planes, surface, shown, covered, adjoints, matrix, vertex_gradient):
+def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
     """Add the edge gradient of one view to vertex_gradient (T,3,3) float32, world.
 
-    planes, surface, the first `covered` of shown: as drawn (`visibility`); adjoints: see `edge_adjoints`; matrix (4,4) float32 is
-    world → clip.
+    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32; matrix (4,4) float32
+    is world → clip.
     """
-    coefficients, rectangles = planes.coefficients, planes.rectangles
-    depth, triangle = surface.depth, surface.triangle
-    pixels, triangles = shown.pixel, shown.triangle
-    height, width = adjoints.shape[1] - 1, adjoints.shape[2]
-    flat, below_first = adjoints.reshape(adjoints.size), (height + 2) * width
-    sx, sy = np.float32(2.0 / width), np.float32(2.0 / height)
-    to_x, to_y = np.float32(0.5 * width), np.float32(0.5 * height)
-    corners = np.zeros(
-        (4, 4), np.float32
-    )  # dL/d of the triangle's three clip-space corners, by intersections
-    zero = splat(0.0)
-    by_x, by_y, by_w = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
-    k = 0
-    while k < covered:
-        t = triangles[k]
-        mine = (load(triangles, k) == t) & first(covered - k)
-        pixel = load(pixels, k)
-        row = floor((to_float(pixel) + 0.5) * np.float32(1.0 / width))  # exact below 2**23 pixels
-        column = to_float(pixel) - row * np.float32(width)
-        x, y = column - np.float32(rectangles[t, 2]), row - np.float32(rectangles[t, 0])
-        ndc_x, ndc_y = fma(column + 0.5, sx, -1.0), fma(row + 0.5, sy, -1.0)
-        p = _values(coefficients, t, x, y)
-        q, pair = _values(coefficients, t, x + 1.0, y), pixel + width
-        with_q = mine & (column < np.float32(width - 1))
-        at, pull, right = _serve(p, q, with_q, t, triangle, depth, pixel + 1, adjoints, pair, to_x)
-        by_x, by_w = _pull(by_x, by_w, p, q, at, pull, ndc_x, sx)
-        q, pair = _values(coefficients, t, x - 1.0, y), pixel + (width - 1)
-        with_q = mine & (column > 0.0)
-        at, pull, left = _serve(p, q, with_q, t, triangle, depth, pixel - 1, adjoints, pair, to_x)
-        by_x, by_w = _pull(by_x, by_w, p, q, at, pull, ndc_x, -sx)
-        # Below the last row and above the first one adjoints are 0.
-        q, pair = _values(coefficients, t, x, y + 1.0), pixel + below_first
-        at, pull, below = _serve(p, q, mine, t, triangle, depth, pixel + width, adjoints, pair, to_y)
-        by_y, by_w = _pull(by_y, by_w, p, q, at, pull, ndc_y, sy)
-        q, pair = _values(coefficients, t, x, y - 1.0), pixel + (below_first - width)
-        at, pull, above = _serve(p, q, mine, t, triangle, depth, pixel - width, adjoints, pair, to_y)
-        by_y, by_w = _pull(by_y, by_w, p, q, at, pull, ndc_y, -sy)
-        if right | left | below | above:
-            _intersections(
-                (right, left, below, above),
-                coefficients,
-                rectangles,
-                t,
-                triangle,
-                depth,
-                pixels,
-                k,
-                width,
-                flat,
-                below_first,
-                (sx, sy),
-                corners,
-            )
-        k += popcount(bits(mine))
-        if k == covered or triangles[k] != t:
-            _flush(vertex_gradient, t, by_x, by_y, by_w, corners, matrix)
-            by_x, by_y, by_w = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
-            store(corners, 0, zero)
+    height, width = image = colour.shape[1:]
+    triangles = len(vertex_gradient)
+    # One row per triangle, row 0 for where none is visible: planes as `load_rows` takes them, and dL/d of the
+    # corners' clip space.
+    rows, corners = np.zeros((1 + triangles, WIDTH), np.float32), np.zeros((1 + triangles, WIDTH))
+    for t in range(triangles):
+        for k in range(12):
+            rows[1 + t, k] = planes.coefficients[t, k]
+        rows[1 + t, _COLUMN], rows[1 + t, _ROW] = planes.rectangles[t, 2], planes.rectangles[t, 0]
+    inside = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    edges = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    waiting_inside, waiting_edges = 0, 0
+    for row in range(height):
+        for column in range(0, width, WIDTH):
+            p = row * width + column
+            for below in range(2):
+                q, count = p + 1, width - 1 - column
+                if below:
+                    q, count = p + width, (width - column if row + 1 < height else 0)
+                adjoint = _adjoints(colour, gradient, height * width, p, q, count)
+                t_p = load_part(surface.triangle, p, count) + 1
+                t_q = load_part(surface.triangle, q, count) + 1
+                active = (adjoint != 0.0) & ((t_p | t_q) != 0)
+                if bits(active) == 0:
+                    continue
+                depths = load_part(surface.depth, p, count), load_part(surface.depth, q, count)
+                mask = active & (t_p == t_q)
+                waiting_inside = _put(
+                    inside, waiting_inside, mask, column, row, below, adjoint, (t_p, t_q), depths
+                )
+                if waiting_inside >= WIDTH:
+                    _serve_inside(inside, WIDTH, rows, image, corners)
+                    _drop_served(inside)
+                    waiting_inside -= WIDTH
+                mask = active & (t_p != t_q)
+                waiting_edges = _put(
+                    edges, waiting_edges, mask, column, row, below, adjoint, (t_p, t_q), depths
+                )
+                if waiting_edges >= WIDTH:
+                    _serve_edges(edges, WIDTH, rows, image, corners)
+                    _drop_served(edges)
+                    waiting_edges -= WIDTH
+    _serve_inside(inside, waiting_inside, rows, image, corners)
+    _serve_edges(edges, waiting_edges, rows, image, corners)
+    for t in range(triangles):
+        for i in range(3):
+            for axis in range(3):
+                total = 0.0
+                for k in range(4):
+                    total += matrix[k, axis] * corners[1 + t, 4 * i + k]
+                vertex_gradient[t, i, axis] += total

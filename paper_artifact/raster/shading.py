@@ -49,7 +49,8 @@ _BLOCK = 8  # sixteens whose products the weight gradients take together
 @inlined
 def _sigmoid(x):
     # 0.5 + 0.5·tanh(x/2) with the clamped rational approximation of tanh that Eigen uses: within 4e-7.
-    t = minimum(maximum(0.5 * x, -7.90531110763549805), 7.90531110763549805)
+    # The bounds stand first, here and in the ReLUs, so that NaN goes through: a broken MLP must stop the run.
+    t = minimum(7.90531110763549805, maximum(-7.90531110763549805, 0.5 * x))
     s = t * t
     p = fma(s, -2.76076847742355e-16, 2.00018790482477e-13)
     p = fma(s, p, -8.60467152213735e-11)
@@ -181,10 +182,10 @@ def _hidden(weights, bias, kept, source, target):
             y2 = fma(weights[o + 2, i], x, y2)
             y3 = fma(weights[o + 3, i], x, y3)
         at = target + o * WIDTH
-        store(kept, at, maximum(y0, 0.0))
-        store(kept, at + 16, maximum(y1, 0.0))
-        store(kept, at + 32, maximum(y2, 0.0))
-        store(kept, at + 48, maximum(y3, 0.0))
+        store(kept, at, maximum(0.0, y0))
+        store(kept, at + 16, maximum(0.0, y1))
+        store(kept, at + 32, maximum(0.0, y2))
+        store(kept, at + 48, maximum(0.0, y3))
 
 
 @inlined

@@ -67,7 +67,6 @@ class ViewRaster:
         # Memory that is never written costs nothing: whoever only draws pays for no more.
         self.colour = np.empty((3, height, width), np.float32)
         self.gradient = np.empty((3, height, width), np.float32)  # dL/dcolour
-        self._adjoints = np.zeros((2, height + 1, width), np.float32)
         self.error = np.empty(size + WIDTH, np.float32)  # (H·W + 16,): sum over channels of |colour - target|
 
     def draw(self, clip: np.ndarray, opacities: np.ndarray, key: int | None) -> ViewRaster:
@@ -122,8 +121,7 @@ class ViewRaster:
 
     def add_edge_gradient(self, matrix: np.ndarray, out: np.ndarray) -> None:
         """Add the edge gradient of `gradient` to out (T,3,3) float32, world; matrix: see `ViewCamera`."""
-        edges.edge_adjoints(self.colour, self.gradient, self._adjoints)
-        edges.edge_backward(self.planes, self.surface, self.shown, self.covered, self._adjoints, matrix, out)
+        edges.edge_backward(self.surface, self.planes, self.colour, self.gradient, matrix, out)
 
     def add_shading_gradient(
         self, soup: SoupArrays, rays: np.ndarray, features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]

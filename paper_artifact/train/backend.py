@@ -40,8 +40,7 @@ class CpuBackend:
         for value, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
             sigmoid = torch.from_numpy(value)
             torch.from_numpy(gradient).mul_(sigmoid * (1 - sigmoid))
-        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        for tensor, gradient in zip(tensors, gradients.flat(), strict=True):
+        for tensor, gradient in zip(soup.tensors(), gradients.flat(), strict=True):
             tensor.grad = torch.from_numpy(gradient)
         return loss
 
@@ -59,10 +58,7 @@ class TwinBackend:
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [
-            tensor.detach().to(device, dtype).clone()
-            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        ]
+        tensors = [tensor.detach().to(device, dtype).clone() for tensor in soup.tensors()]
         return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
@@ -85,6 +81,8 @@ class TwinBackend:
         auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
         colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
         loss = twin.photometric_loss(colour, target)
+        for tensor in soup.tensors():
+            tensor.grad = None
         (loss + auxiliary).backward()
         return loss.item()
 
