@@ -49,7 +49,8 @@ def draw(key: np.uint32, pixel: np.uint32, triangle: np.uint32) -> np.float32:
 
 @inlined
 def draw_lanes(key, pixel, triangle):
-    """Return `draw` of sixteen pixels (int32 lanes) of one triangle, in a kernel (float32 lanes); key uint32."""
+    """Return `draw` of sixteen pixels (int32 lanes) of one triangle, in a kernel (float32 lanes); key
+    uint32."""
     x = pixel * _PIXEL + (key + triangle * _TRIANGLE)
     x = (x ^ (x >> 16)) * _M1
     x = (x ^ (x >> 15)) * _M2

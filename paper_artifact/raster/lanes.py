@@ -6,8 +6,9 @@
             v = load_part(x, i, len(x) - i)
             store_part(out, i, fma(splat(2.0), v, splat(1.0)), len(x) - i)
 
-LLVM's own loop vectoriser gives up as soon as it cannot prove arrays apart or meets a branch; these intrinsics emit LLVM's
-vector instructions directly, so a kernel is as wide as it is written. LLVM fits every vector to the machine:
+LLVM's own loop vectoriser gives up as soon as it cannot prove arrays apart or meets a branch; these
+intrinsics emit LLVM's vector instructions directly, so a kernel is as wide as it is written. LLVM fits every
+vector to the machine:
 
     type     lanes   AVX-512     AVX2         SSE, NEON
     F32, I32   16    1 zmm       2 ymm        4 xmm / v
@@ -16,8 +17,10 @@ vector instructions directly, so a kernel is as wide as it is written. LLVM fits
 
 Operations, for vectors a, b, c of one type (numbers mix in as constants of all lanes: `0.5 * a`):
 
-    a + b, a - b, a * b, a / b, -a       fadd, fsub, fmul, fdiv; add, sub, mul on int32; rounded as scalars are
-    fma(a, b, c) = a·b + c               llvm.fmuladd: one rounding where the machine has FMA, else mul and add, and never the
+    a + b, a - b, a * b, a / b, -a       fadd, fsub, fmul, fdiv; add, sub, mul on int32; rounded as scalars
+    are
+    fma(a, b, c) = a·b + c               llvm.fmuladd: one rounding where the machine has FMA, else mul and
+    add, and never the
                                          call of libm that llvm.fma becomes there
     a < b, <=, >, >=, ==, !=             fcmp ordered (!= unordered), icmp signed → BOOL
     m & n, m | n, m ^ n, ~m              on BOOL, and on int32 (bitwise)
@@ -37,27 +40,33 @@ Operations, for vectors a, b, c of one type (numbers mix in as constants of all 
     shifted(a, b, k)                     lanes k … k + 15 of the 32 lanes a, b; k a constant: one valignd
     zip_low(a, b), zip_high(a, b)        a0 b0 a1 b1 … a7 b7, and a8 b8 … a15 b15
     evens(a, b), odds(a, b)              back again: the lanes of even (odd) number of the 32 lanes a, b
-    compress(a, m)                       the lanes of a where m, moved together to the front; the rest is undefined
+    compress(a, m)                       the lanes of a where m, moved together to the front; the rest is
+    undefined
 
-Memory. Arrays are C-contiguous with elements of the vector's type; an index counts elements from the array's first, whatever its
-shape. Nothing is checked.
+Memory. Arrays are C-contiguous with elements of the vector's type; an index counts elements from the array's
+first, whatever its shape. Nothing is checked.
 
-    load(x, i), load8(x, i)              16 (8) elements from index i, of any alignment; float32 or int32 as x has them
+    load(x, i), load8(x, i)              16 (8) elements from index i, of any alignment; float32 or int32 as x
+    has them
     load_part(x, i, n)                   lanes >= n are 0 and not read (n may exceed 16)
     store(x, i, a), store_part(x, i, a, n)
     load_unit_part(x, i, n)              as float32 in [0,1]: float32 elements as they are, uint8 ones / 255
     gather(x, indices, m)                x[indices] where m, else 0: as many loads, none for lanes outside m
     scatter(x, indices, a, m)            the later lane wins where indices repeat
-    load_rows(x, indices)                rows of x (n,16) as the tuple of their sixteen columns: sixteen loads and 64 shuffles, about
+    load_rows(x, indices)                rows of x (n,16) as the tuple of their sixteen columns: sixteen loads
+    and 64 shuffles, about
                                          a quarter of what sixteen gathers cost
-    add_to_rows(x, indices, columns)     x[indices] += such a tuple, one row after another, so indices may repeat; x float32 or
+    add_to_rows(x, indices, columns)     x[indices] += such a tuple, one row after another, so indices may
+    repeat; x float32 or
                                          float64
 
-To see what became of a kernel: `kernel.inspect_llvm(kernel.signatures[0])` holds "<16 x float>" and no "extractelement" in its
-loops; `kernel.inspect_asm(…)` names zmm or ymm registers. NUMBA_CPU_NAME=haswell compiles for AVX2. Nothing here asks LLVM to
-reorder anything: bits depend on whether the machine has FMA, on nothing else.
+To see what became of a kernel: `kernel.inspect_llvm(kernel.signatures[0])` holds "<16 x float>" and no
+"extractelement" in its loops; `kernel.inspect_asm(…)` names zmm or ymm registers. NUMBA_CPU_NAME=haswell
+compiles for AVX2. Nothing here asks LLVM to reorder anything: bits depend on whether the machine has FMA, on
+nothing else.
 """
-# A kernel elsewhere that is cached does not notice a change here: numba's cache looks at the kernel's own file only.
+# A kernel elsewhere that is cached does not notice a change here: numba's cache looks at the kernel's own
+# file only.
 
 from __future__ import annotations
 
@@ -70,8 +79,8 @@ from numba.core.extending import intrinsic, lower_builtin, lower_cast, models, r
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 
 WIDTH = 16
-# Decorator of a kernel's helper: LLVM puts it where it is called. It borrows its arrays, that is, must make none itself: counting
-# references to each argument, atomically, would cost more than most helpers do.
+# Decorator of a kernel's helper: LLVM puts it where it is called. It borrows its arrays, that is, must make
+# none itself: counting references to each argument, atomically, would cost more than most helpers do.
 inlined = numba.njit(forceinline=True, _nrt=False)
 _ELEMENT = {"f32": ir.FloatType(), "i32": ir.IntType(32), "bool": ir.IntType(1)}
 
@@ -189,7 +198,8 @@ for _function, _sign in (
 
 
 def _lanewise(count: int, emit, result_of=lambda kind: kind):
-    # An intrinsic of `count` vectors, of which some may be numbers: emit(builder, type, *values) gives its value.
+    # An intrinsic of `count` vectors, of which some may be numbers: emit(builder, type, *values) gives its
+    # value.
     def declare(*arguments):
         kind = next(each for each in arguments if isinstance(each, Lanes))
 
@@ -467,8 +477,8 @@ def scatter(typing, array, indices, value, mask):
 
 
 def _transposed(builder, rows):
-    # Sixteen vectors as the rows of a matrix → its columns. First inside each quarter of a register, then whole quarters: no
-    # shuffle but vunpck and vshuf is needed.
+    # Sixteen vectors as the rows of a matrix → its columns. First inside each quarter of a register, then
+    # whole quarters: no shuffle but vunpck and vshuf is needed.
     def quarters(*lanes):
         return [4 * q + k for q in range(4) for k in lanes]
 

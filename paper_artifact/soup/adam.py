@@ -115,7 +115,8 @@ class TorchOptimiser:
             optimiser.step()
 
     def mlp_state(self) -> dict[str, Any]:
-        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes them."""
+        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes
+        them."""
         states = [self._optimisers["mlp"].state[tensor] for tensor in self._mlp]
         mean, square = ([state[name].flatten() for state in states] for name in ("exp_avg", "exp_avg_sq"))
         return {"step": int(states[0]["step"]), "mean": mean, "square": square}
