@@ -77,8 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
             raise
         print(
-            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not installed; "
-            "in a checkout run `bash test.sh` and use .venv/bin/python, else `pip install 'paper_artifact[study]'`",
+            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not "
+            "installed; in a checkout run `bash test.sh` and use .venv/bin/python, "
+            "else `pip install 'paper_artifact[study]'`",
             file=sys.stderr,
         )
     except KeyboardInterrupt:

@@ -103,14 +103,16 @@ def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
             f"M^{growth_exponent(rows, 'gudhi_ms'):.2f}, Delaunay tetrahedra "
             f"M^{growth_exponent(rows, 'tetrahedra'):.2f})"
         )
-    paper = [f"{_paper('persistence_ms', samples=few):.0f} ms at M = {few}" for few in (2048, 20_000)]
+    paper = [f"{_paper('persistence_ms', samples)} ms at M = {samples}" for samples in (2048, 20_000)]
     print(f"  the paper's refresh (torus, its own machine): {', '.join(paper)}")
 
 
-def _paper(quantity: str, **columns: int) -> float:
-    from paper_artifact.report.published import published_value
+def _paper(quantity: str, samples: int | None = None) -> str:
+    """Return the paper's number of that quantity, at M = `samples` where given, as it is printed."""
+    from paper_artifact.report.kit.published import published
 
-    return published_value("cost", quantity=quantity, **columns)[0]
+    rows = published("cost").query("quantity == @quantity")
+    return (rows if samples is None else rows[rows["samples"] == samples])["printed"].item()
 
 
 def _loss(folder: Path, arguments: argparse.Namespace) -> None:
@@ -136,8 +138,8 @@ def _loss(folder: Path, arguments: argparse.Namespace) -> None:
     )
     print(
         f"  sphere C0 {base:.1f} s, C1 {with_loss:.1f} s: + {100 * (with_loss / base - 1):.0f} % "
-        f"(paper: {_paper('loss_seconds_per_run'):.0f} s beside {_paper('photometric_seconds_low'):.0f} to "
-        f"{_paper('photometric_seconds_high'):.0f} s)"
+        f"(paper: {_paper('loss_seconds_per_run')} s beside {_paper('photometric_seconds_low')} to "
+        f"{_paper('photometric_seconds_high')} s)"
     )
 
 

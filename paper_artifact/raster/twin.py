@@ -30,7 +30,7 @@ __all__ = [
 
 _FLOOR = 1e-5  # of a chance that the opacity gradient divides by
 
-MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+MLP = tuple[torch.Tensor, ...]  # w1, c1, w2, c2, w3, c3: see `shade`
 
 
 def view_directions(world_to_clip: torch.Tensor, height: int, width: int) -> torch.Tensor:
