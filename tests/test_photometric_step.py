@@ -146,7 +146,8 @@ def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
 
 
 def test_a_triangle_whose_plane_has_w_infinite_in_the_image_has_the_twins_gradients():
-    """1/w is 1 - column/8 on the triangle's plane: exactly 0 at column 8, right of its last corner at column 4."""
+    """1/w is 1 - column/8 on the triangle's plane: exactly 0 at column 8, right of its last corner at column
+    4."""
     size, columns, rows, w = (16, 16), np.array([0, 4, 0]), np.array([0, 0, 4]), np.array([1.0, 2.0, 1.0])
     corners = np.stack([((2 * columns + 1) / 16 - 1) * w, ((2 * rows + 1) / 16 - 1) * w, w], axis=-1)
     matrix = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1.5, -1.25], [0, 0, 1, 0]], np.float32)

@@ -23,7 +23,8 @@ class CpuBackend:
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
         self._targets = {int(view): make_target(scene.images[view]) for view in views}
         self._cameras = {int(view): make_camera(scene.world_to_clip[view]) for view in views}
-        self._step = PhotometricStep(*scene.images.shape[2:], scene.background)
+        height, width = scene.images.shape[2:]
+        self._step = PhotometricStep(height, width, scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
         """Return the soup itself: it lives on the CPU."""
