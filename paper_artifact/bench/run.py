@@ -30,7 +30,8 @@ cpu, wall = time.process_time(), time.perf_counter()
 outcome = train(scene, config, term=term, device="cpu")
 cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({"cpu": cpu, "wall": wall, "seconds": outcome.seconds, "peak_mb": peak, "loss": outcome.losses[-1]}))
+row = {"cpu": cpu, "wall": wall, "seconds": outcome.seconds, "peak_mb": peak, "loss": outcome.losses[-1]}
+print(json.dumps(row))
 """
 
 
