@@ -32,7 +32,7 @@ def pebble() -> Mesh:
 ROWS = (
     ("catalogue.py", "SHAPES", 'Shape("pebble", "analytic", 2, (0, 0, 1), 200, 1024, (2,)),'),
     ("catalogue.py", "CONDITIONS", 'Condition("C8", "C1 twice as strong", "#123456", LossConfig(rho=0.2)),'),
-    ("scene/shapes.py", "_BUILDERS", '"pebble": pebble,'),
+    ("scene/shapes.py", "SHAPES", '"pebble": pebble,'),
     ("study/studies.py", "STUDIES", '"pebbles": ((("pebble",), ("C0", "C2", "C8"), range(1)),),'),
 )
 SETTINGS = {name: value for name, value in TINY.items() if name not in ("steps", "dump_steps", "budget")}

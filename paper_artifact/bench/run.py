@@ -1,5 +1,4 @@
-"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a fresh process: its peak
-is its own."""
+"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a process of its own."""
 
 from __future__ import annotations
 
@@ -28,10 +27,9 @@ train(scene, study_config(shape, steps=2, **changes), device="cpu")  # the kerne
 term, _ = make_run_term(config, mesh)
 cpu, wall = time.process_time(), time.perf_counter()
 outcome = train(scene, config, term=term, device="cpu")
-cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-row = {"cpu": cpu, "wall": wall, "seconds": outcome.seconds, "peak_mb": peak, "loss": outcome.losses[-1]}
-print(json.dumps(row))
+print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall, "peak_mb": peak,
+                  "seconds": outcome.seconds, "loss": outcome.losses[-1]}))
 """
 
 

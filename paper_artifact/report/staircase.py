@@ -34,7 +34,7 @@ Followed = Mapping[str, Sequence[str]]  # shape: names of its bars, ("loop 1", "
 
 def measure_analytic_shapes(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
     """Return the staircases of all analytic shapes, M = 512 … 20,000, five seeds: about a minute of CPU."""
-    return staircases(SHAPES, (512, 1024, *DENSITIES), SEEDS, progress)
+    return staircases(tuple(SHAPES), (512, 1024, *DENSITIES), SEEDS, progress)
 
 
 def table_s3(table: pd.DataFrame) -> pd.DataFrame:
