@@ -93,7 +93,7 @@ def run(
     state = train(
         scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device
     )
-    holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.images[scene.holdout])
+    holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.colours(scene.holdout))
     sections: dict[str, Any] = {
         "images": {
             "psnr": round(holdout["psnr"], 4),

@@ -43,8 +43,8 @@ def damaged(torus_scene, tmp_path):
 def test_a_built_scene_reads_back_with_the_stated_frames(torus_scene):
     scene, mesh = load_scene(torus_scene), make_shape("torus")
     assert scene.names == tuple(f"view_{index:03d}.png" for index in range(10))
-    assert scene.images.shape == (10, 24, 24, 3) and scene.images.dtype == np.float32
-    assert scene.images.min() >= 0 and scene.images.max() == 1
+    assert scene.images.shape == (10, 3, 24, 24) and scene.images.dtype == np.uint8
+    assert scene.images.min() < 255 and scene.images.max() == 255
     assert scene.holdout.tolist() == [0, 8] and scene.train.tolist() == [1, 2, 3, 4, 5, 6, 7, 9]
     assert scene.points.dtype == scene.world_to_clip.dtype == scene.camera_centres.dtype == np.float32
     assert scene.background.tolist() == [1, 1, 1] and scene.radius == pytest.approx(mesh.radius)
@@ -57,8 +57,8 @@ def test_a_built_scene_reads_back_with_the_stated_frames(torus_scene):
         clip = np.column_stack([scene.points, np.ones(400)]) @ scene.world_to_clip[view].T
         assert (clip[:, 3] > 0).all()
         pixel = np.floor((clip[:, :2] / clip[:, 3:] + 1) * 12).astype(int)
-        assert (scene.images[view][pixel[:, 1], pixel[:, 0]].min(axis=1) < 1).mean() > 0.95
-        rows, columns = np.nonzero(scene.images[view].max(axis=2) < 0.99)
+        assert (scene.colours(view)[pixel[:, 1], pixel[:, 0]].min(axis=1) < 1).mean() > 0.95
+        rows, columns = np.nonzero(scene.colours(view).max(axis=2) < 0.99)
         assert cKDTree(pixel).query(np.column_stack([columns, rows]))[0].max() < 3
 
 
@@ -147,7 +147,7 @@ def test_a_foreign_scene_in_text_with_transparent_images(damaged):
         pixels = np.asarray(Image.open(file))
         Image.fromarray(np.dstack([pixels, np.zeros(pixels.shape[:2], np.uint8)])).save(file)
     scene = load_scene(damaged)
-    assert scene.background.tolist() == [1, 1, 1] and (scene.images == 1).all()
+    assert scene.background.tolist() == [1, 1, 1] and (scene.images == 255).all()
     assert scene.radius == pytest.approx(make_shape("torus").diagonal / 2, rel=0.05)
     with pytest.raises(InputError, match="has no ground_truth.npz"):
         load_ground_truth(damaged)
@@ -158,7 +158,7 @@ def test_images_smaller_than_the_camera_are_welcome_in_the_same_aspect(damaged):
     for file in (damaged / "images").iterdir():
         Image.open(file).resize((12, 12)).save(file)
     half = load_scene(damaged)
-    assert half.images.shape == (10, 12, 12, 3)
+    assert half.images.shape == (10, 3, 12, 12)
     np.testing.assert_array_equal(half.world_to_clip, before.world_to_clip)
 
 

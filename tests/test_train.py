@@ -72,7 +72,7 @@ def test_it_learns(trained, tiny_scene):
 
     def holdout_psnr(soup):
         return image_scores(
-            render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.images[tiny_scene.holdout]
+            render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.colours(tiny_scene.holdout)
         )["psnr"]
 
     assert holdout_psnr(trained.soup) > holdout_psnr(initial_soup(tiny_scene.points, 600, 0)) + 1.5

@@ -127,4 +127,4 @@ def _holdout_scores(soup, folder: Path) -> dict:
     from paper_artifact.soup.render import render_views
 
     scene = load_scene(folder)
-    return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.images[scene.holdout])
+    return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.colours(scene.holdout))

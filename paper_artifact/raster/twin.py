@@ -289,8 +289,8 @@ def _vertex_gradient(
 def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the scalar .8·mean|target - colour| + .2·½(1 - SSIM) of images (B,3,H,W) in [0, 1].
 
-    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when the
-    shapes differ or a side of the images is shorter than SSIM's window.
+    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when
+    the shapes differ or a side of the images is shorter than SSIM's window.
     """
     if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < WINDOW:
         raise InputError(

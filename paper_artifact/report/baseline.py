@@ -63,7 +63,7 @@ def reconstruct(
             scene = prepare_scene(config, mesh, results / "scenes")
             soup = load_soup(soup_path(record, results))
             renders = render_views(soup, scene, scene.holdout)
-        made.append(Reconstruction(shape, record, soup, scene.images[scene.holdout], renders))
+        made.append(Reconstruction(shape, record, soup, scene.colours(scene.holdout), renders))
     return tuple(made)
 
 
