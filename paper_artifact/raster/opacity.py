@@ -1,4 +1,6 @@
-"""The opacity gradient on the CPU: DiffSoup's estimate of what a triangle's opacity does to the error, by stochastic masking."""
+"""The opacity gradient on the CPU: DiffSoup's estimate of what a triangle's opacity does to the error, by
+stochastic masking.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,10 @@ from paper_artifact.raster.visibility import along, inside, line
 def opacity_backward(planes, met, opacity, width, surface, error, weight, opacity_gradient):
     """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
 
-    planes, met, opacity, width, surface: as drawn (`visibility.draw`); error (H·W + 16,) float32: sum over channels of
-    |colour - target|. The visible fragment's alpha gets +error / max(alpha, 1e-5), every other fragment in front of it
-    -error / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
+    planes, met, opacity, width, surface: as drawn (`visibility.draw`); error (H·W + 16,) float32: sum over
+    channels of |colour - target|. The visible fragment's alpha gets +error / max(alpha, 1e-5), every other
+    fragment in front of it -error / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the
+    barycentrics.
     """
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
     depth, triangle = surface.depth, surface.triangle

@@ -1,13 +1,15 @@
-"""Photometric loss kernel on the CPU: .8·mean|target - colour| + .2·½(1 - SSIM), value and gradient in one pass.
+"""Photometric loss kernel on the CPU: .8·mean|target - colour| + .2·½(1 - SSIM), value and gradient in one
+pass.
 
-SSIM: 11×11 Gaussian window, sigma 1.5 px, data range 1, valid windows only, mean over windows, channels and views (the
-definition of pytorch-msssim, which DiffSoup trains with). Windows that see nothing but equal pixels have SSIM 1 and no gradient:
-only the rectangle around the unequal ones is visited.
+SSIM: 11×11 Gaussian window, sigma 1.5 px, data range 1, valid windows only, mean over windows, channels and
+views (the definition of pytorch-msssim, which DiffSoup trains with). Windows that see nothing but equal
+pixels have SSIM 1 and no gradient: only the rectangle around the unequal ones is visited.
 
-A pass makes two rows of windows and two rows of the gradient. Rows of pixels enter a ring of the last twelve; the window runs down
-its columns first, then along the two rows of sums, which gives the five moments and SSIM's derivatives by them; these run back
-the other way, along the rows first, then down a ring of their last twelve rows. So everything stays in the cache, and the target's
-moments are made anew each time: keeping them would cost eight bytes a pixel and channel for little time.
+A pass makes two rows of windows and two rows of the gradient. Rows of pixels enter a ring of the last twelve;
+the window runs down its columns first, then along the two rows of sums, which gives the five moments and
+SSIM's derivatives by them; these run back the other way, along the rows first, then down a ring of their last
+twelve rows. So everything stays in the cache, and the target's moments are made anew each time: keeping them
+would cost eight bytes a pixel and channel for little time.
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ WINDOW = (np.exp(-(_offsets**2) / (2 * 1.5**2)) / np.exp(-(_offsets**2) / (2 * 1
     np.float32
 )
 _K0, _K1, _K2, _K3, _K4, _K5 = (float(WINDOW[i]) for i in range(6))
-# A ring holds the last twelve rows (two rows of windows see twelve) and is read as twelve neighbours: row r is kept twice, in slots
-# r % 12 and r % 12 + 12. Its layout is (blocks of 16 columns, slots, 16).
+# A ring holds the last twelve rows (two rows of windows see twelve) and is read as twelve neighbours: row r
+# is kept twice, in slots r % 12 and r % 12 + 12. Its layout is (blocks of 16 columns, slots, 16).
 _ROWS = TAPS + 1
 _SLOTS = 2 * _ROWS
 
@@ -174,10 +176,12 @@ def _active_rectangle(colour, target):
 
 @numba.njit(cache=True, nogil=True)
 def photometric_view(colour, target, views, gradient, error):
-    """Return one view's share of the loss (already divided by `views`) and write its gradient and its error image.
+    """Return one view's share of the loss (already divided by `views`) and write its gradient and its error
+    image.
 
-    colour (3,H,W) float32, target (3,H,W) float32 or uint8 (255 is 1), H and W at least 11; overwritten are gradient (3,H,W)
-    float32 with dL/dcolour and error (at least H·W,) float32 with the sum over channels of |colour - target|.
+    colour (3,H,W) float32, target (3,H,W) float32 or uint8 (255 is 1), H and W at least 11; overwritten are
+    gradient (3,H,W) float32 with dL/dcolour and error (at least H·W,) float32 with the sum over channels of
+    |colour - target|.
     """
     height, width = colour.shape[1], colour.shape[2]
     gradient[:] = np.float32(0.0)
@@ -185,7 +189,8 @@ def photometric_view(colour, target, views, gradient, error):
     row0, row1, column0, column1 = _active_rectangle(colour, target)
     if row1 < 0:
         return 0.0
-    # Input rectangle whose windows can hold an unequal pixel, clipped to the image; windows start at (top, left).
+    # Input rectangle whose windows can hold an unequal pixel, clipped to the image; windows start at (top,
+    # left).
     top, left = max(0, row0 - 10), max(0, column0 - 10)
     rows, columns = min(height, row1 + 11) - top, min(width, column1 + 11) - left
     out_rows, out_columns = rows - 10, columns - 10
@@ -215,7 +220,8 @@ def photometric_view(colour, target, views, gradient, error):
                     _keep(y_ring, at, load_unit_part(target, start, count))
             if o < 0:
                 continue
-            # The windows of rows o and o + 1: down the columns, along the rows, derivatives, back along the rows.
+            # The windows of rows o and o + 1: down the columns, along the rows, derivatives, back along the
+            # rows.
             phase = o % _ROWS
             if o < out_rows:
                 for b in range(blocks):
@@ -273,7 +279,8 @@ def photometric_view(colour, target, views, gradient, error):
 
 
 def make_target(image: np.ndarray) -> np.ndarray:
-    """Return the target of an image (3,H,W) as the kernel takes it: contiguous, uint8 (255 is 1) or float32 in [0,1].
+    """Return the target of an image (3,H,W) as the kernel takes it: contiguous, uint8 (255 is 1) or float32
+    in [0,1].
 
     Raises InputError below 11×11 pixels.
     """

@@ -1,11 +1,14 @@
-"""Shading kernels on the CPU: feature interpolation, view-direction harmonics, the small MLP, and their backward.
+"""Shading kernels on the CPU: feature interpolation, view-direction harmonics, the small MLP, and their
+backward.
 
-Visible fragments are shaded sixteen at a time, a lane each, in the order of drawing: fragments of one triangle are neighbours, so
-that its features stay at hand. Activations are one row of lanes per quantity and never leave the cache: the backward makes them
-again, which costs less than reading 200 bytes a pixel back from memory.
+Visible fragments are shaded sixteen at a time, a lane each, in the order of drawing: fragments of one
+triangle are neighbours, so that its features stay at hand. Activations are one row of lanes per quantity and
+never leave the cache: the backward makes them again, which costs less than reading 200 bytes a pixel back
+from memory.
 
-Shading (DiffSoup `multires.py`): x = [7 interpolated features, 9 real spherical harmonics of the unit direction from the surface
-to the camera]; y = sigmoid(w3·relu(w2·relu(w1·x + c1) + c2) + c3); colour = (1 - r)·x[0:3] + r·y with r = x[3].
+Shading (DiffSoup `multires.py`): x = [7 interpolated features, 9 real spherical harmonics of the unit
+direction from the surface to the camera]; y = sigmoid(w3·relu(w2·relu(w1·x + c1) + c2) + c3); colour = (1 -
+r)·x[0:3] + r·y with r = x[3].
 """
 
 from __future__ import annotations
@@ -91,7 +94,8 @@ def _two_pixels(triangle, b0, b1, k, features):
 
 @inlined
 def _transposed(v):
-    # Eight pairs of pixels' eight features → eight rows of sixteen pixels: three times even places before odd ones.
+    # Eight pairs of pixels' eight features → eight rows of sixteen pixels: three times even places before odd
+    # ones.
     for _ in range(3):
         v0, v1, v2, v3, v4, v5, v6, v7 = v
         v = (
@@ -149,7 +153,8 @@ def _interpolate(triangle, b0, b1, k, features, kept, at):
 
 @inlined
 def _harmonics(pixel, width, height, rays, kept, at):
-    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world frame.
+    # rays (3,3): unnormalised direction surface → camera = rays[0] + rays[1]·ndc_x + rays[2]·ndc_y, world
+    # frame.
     centre = to_float(pixel) + 0.5  # exact below 2**23 pixels
     row = floor(centre * np.float32(1.0 / width))
     u = fma(fma(row, np.float32(-width), centre), np.float32(2.0 / width), -1.0)
@@ -208,10 +213,11 @@ def _activate(pixel, triangle, b0, b1, k, width, height, rays, features, w1, c1,
 
 @numba.njit(cache=True, nogil=True)
 def shade_forward(shown, covered, rays, features, mlp, colour):
-    """Shade the visible fragments of one view into colour (3,H,W) float32, which comes in filled with the background.
+    """Shade the visible fragments of one view into colour (3,H,W) float32, which comes in filled with the
+    background.
 
-    shown: the first `covered` of it (see `visibility.Shown`); rays (3,3) float32 (see `_harmonics`); features (T,3,7)
-    float32 in [0,1]; mlp: six arrays as torch.nn.Linear has them.
+    shown: the first `covered` of it (see `visibility.Shown`); rays (3,3) float32 (see `_harmonics`); features
+    (T,3,7) float32 in [0,1]; mlp: six arrays as torch.nn.Linear has them.
     """
     pixel, triangle, b0, b1 = shown
     w1, c1, w2, c2, w3, c3 = mlp
@@ -246,7 +252,8 @@ def _back(weights, deltas, source, kept, layer, target):
 
 @inlined
 def _outer(sums, deltas, delta, outputs, kept, layer, sixteens):
-    # sums[o, i] (lanes) += delta[o]·x[i] over some sixteens, two outputs by four inputs at a time: these stay in registers.
+    # sums[o, i] (lanes) += delta[o]·x[i] over some sixteens, two outputs by four inputs at a time: these stay
+    # in registers.
     for o in range(0, outputs, 2):
         for i in range(0, HIDDEN, 4):
             s = (o * HIDDEN + i) * WIDTH
@@ -290,7 +297,8 @@ def _add8(array, at, value):
 
 @inlined
 def _feature_deltas(w1, deltas, delta, keep, g, by_blend):
-    # dL/d of the seven features (and an eighth row of zeros): through the first layer, and by the blend with the base colour.
+    # dL/d of the seven features (and an eighth row of zeros): through the first layer, and by the blend with
+    # the base colour.
     x0, x1, x2, x3 = keep * g[0], keep * g[1], keep * g[2], by_blend
     x4, x5, x6 = splat(0.0), splat(0.0), splat(0.0)
     for o in range(HIDDEN):
@@ -307,7 +315,8 @@ def _feature_deltas(w1, deltas, delta, keep, g, by_blend):
 
 @numba.njit(cache=True, nogil=True)
 def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature_gradient, mlp_gradient):
-    """Add one view's dL/d(features, MLP) to feature_gradient (T,3,7) and to the six arrays of mlp_gradient, float32.
+    """Add one view's dL/d(features, MLP) to feature_gradient (T,3,7) and to the six arrays of mlp_gradient,
+    float32.
 
     colour_gradient (3,H,W) float32; the rest as in `shade_forward`.
     """

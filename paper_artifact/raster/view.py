@@ -1,7 +1,8 @@
 """One view of a soup on the CPU, from corners to gradients: the only place that calls the numba kernels.
 
-Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`, `opacity`, `edges`);
-`step.PhotometricStep` runs them in order for a batch, and the tests hold each to the twin in plain torch (`twin`).
+Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`,
+`opacity`, `edges`); `step.PhotometricStep` runs them in order for a batch, and the tests hold each to the
+twin in plain torch (`twin`).
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class ViewCamera(NamedTuple):
 def make_camera(world_to_clip: np.ndarray) -> ViewCamera:
     """Return the camera of a matrix world_to_clip (4,4).
 
-    The rays follow from its rows x, y, w: at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x, ndc_y, 1).
+    The rays follow from its rows x, y, w: at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x,
+    ndc_y, 1).
     """
     matrix = np.ascontiguousarray(world_to_clip, np.float32)
     inverse = -np.linalg.inv(matrix[[0, 1, 3], :3].astype(np.float64))
@@ -50,8 +52,8 @@ def to_clip(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 class ViewRaster:
     """One view and its buffers, to be used again and again.
 
-    A training step calls `render`, `compare`, and then the three `add_…_gradient`; `draw` alone is enough to know
-    what is visible. What a method leaves in the arrays is valid until it is called again.
+    A training step calls `render`, `compare`, and then the three `add_…_gradient`; `draw` alone is enough to
+    know what is visible. What a method leaves in the arrays is valid until it is called again.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -72,8 +74,8 @@ class ViewRaster:
     def draw(self, clip: np.ndarray, opacities: np.ndarray, key: int | None) -> ViewRaster:
         """Find what is visible; return self.
 
-        clip (T,3,4) float32 clip-space corners, opacities (T,3) float32 in [0,1]; key: `draws.view_key` for stochastic
-        masking, None for the threshold .5. Fills planes, surface, shown and covered.
+        clip (T,3,4) float32 clip-space corners, opacities (T,3) float32 in [0,1]; key: `draws.view_key` for
+        stochastic masking, None for the threshold .5. Fills planes, surface, shown and covered.
         """
         triangles = len(clip)
         if len(self.planes.order) < triangles:
@@ -106,9 +108,11 @@ class ViewRaster:
         return self.shade(soup.features, soup.mlp, camera.rays, background)
 
     def compare(self, target: np.ndarray, views: int) -> float:
-        """Return the view's share of the loss of a batch of `views` views; fills gradient with its dL/dcolour, and error.
+        """Return the view's share of the loss of a batch of `views` views; fills gradient with its
+        dL/dcolour, and error.
 
-        The loss is .8·mean|target - colour| + .2·½(1 - SSIM), see `photometric`; target: see `photometric.make_target`.
+        The loss is .8·mean|target - colour| + .2·½(1 - SSIM), see `photometric`; target: see
+        `photometric.make_target`.
         """
         return photometric.photometric_view(self.colour, target, views, self.gradient, self.error)
 
@@ -126,7 +130,9 @@ class ViewRaster:
     def add_shading_gradient(
         self, soup: SoupArrays, rays: np.ndarray, features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
     ) -> None:
-        """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; soup, rays as shaded."""
+        """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; soup,
+        rays as shaded.
+        """
         shading.shade_backward(
             self.shown, self.covered, rays, soup.features, soup.mlp, self.gradient, features_out, mlp_out
         )
@@ -146,9 +152,9 @@ def rasterize_opaque(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the nearest surface of an opaque mesh: (triangle, b0, b1, depth), each (height, width).
 
-    clip (V,4) float32 clip-space vertices, faces (T,3) integer. triangle int32 is 0 where nothing is hit, else
-    index + 1; b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is hit); depth
-    float32 is NDC z (+inf where nothing is hit).
+    clip (V,4) float32 clip-space vertices, faces (T,3) integer. triangle int32 is 0 where nothing is hit,
+    else index + 1; b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is
+    hit); depth float32 is NDC z (+inf where nothing is hit).
     """
     corners = np.ascontiguousarray(clip[faces], np.float32)
     view = ViewRaster(height, width).draw(corners, np.ones((len(faces), 3), np.float32), None)

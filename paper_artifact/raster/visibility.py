@@ -1,17 +1,22 @@
-"""Forward raster on the CPU: triangle set-up, stochastic opacity masking, depth test, the list of what is visible.
+"""Forward raster on the CPU: triangle set-up, stochastic opacity masking, depth test, the list of what is
+visible.
 
 Frames. Clip space: (x, y, z, w) with w > 0 in front of the camera. NDC: xyz / w in [-1, 1], x right, y down.
-Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height - 1).
+Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height
+- 1).
 
-Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of its
-bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth. Perspective-correct
-barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano & Greer, "Triangle scan conversion using 2D
-homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo et al. 2026).
+Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of
+its bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth.
+Perspective-correct barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano &
+Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo
+et al. 2026).
 
-A triangle's pixels are visited along the rows of its bounding box, sixteen at a time. Fragments are not kept: whoever needs them
-(the list of the visible ones, the opacity gradient) visits the triangles again, which costs less than writing them down.
+A triangle's pixels are visited along the rows of its bounding box, sixteen at a time. Fragments are not kept:
+whoever needs them (the list of the visible ones, the opacity gradient) visits the triangles again, which
+costs less than writing them down.
 
-Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of threads.
+Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of
+threads.
 """
 
 from __future__ import annotations
@@ -99,7 +104,8 @@ class Shown(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def set_up_triangles(clip, height, width, planes):
-    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a pixel.
+    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a
+    pixel.
 
     A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the
     image.
@@ -175,7 +181,9 @@ def set_up_triangles(clip, height, width, planes):
 
 @inlined
 def line(coefficients, t, y):
-    """Return the eight numbers of triangle t on the row y below its first one: mu_0, mu_1, mu_2, depth at column 0, and per column."""
+    """Return the eight numbers of triangle t on the row y below its first one: mu_0, mu_1, mu_2, depth at
+    column 0, and per column.
+    """
     a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
     a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
     a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
@@ -185,7 +193,9 @@ def line(coefficients, t, y):
 
 @inlined
 def along(of_line, x):
-    """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first column on)."""
+    """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first
+    column on).
+    """
     e0, e1, e2, ez, b0, b1, b2, bz = of_line
     return e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
 
@@ -199,10 +209,12 @@ def inside(values):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def draw(planes, kept, opacity, width, key, stochastic, surface):
-    """Draw the first `kept` triangles of planes.order front to back into surface; return how many of them met no nearer survivor.
+    """Draw the first `kept` triangles of planes.order front to back into surface; return how many of them met
+    no nearer survivor.
 
-    Those come first in planes.order afterwards, in the same order. opacity (T,3) float32 in [0,1]; width in pixels. A fragment
-    survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when stochastic, else .5; the nearest survivor is visible.
+    Those come first in planes.order afterwards, in the same order. opacity (T,3) float32 in [0,1]; width in
+    pixels. A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when
+    stochastic, else .5; the nearest survivor is visible.
     """
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
     depth, triangle = surface.depth, surface.triangle
@@ -242,7 +254,9 @@ def draw(planes, kept, opacity, width, key, stochastic, surface):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def list_visible(planes, met, width, surface, shown):
-    """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned; width in pixels."""
+    """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned;
+    width in pixels.
+    """
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
     triangle = surface.triangle
     shown_pixel, shown_triangle, shown_b0, shown_b1 = shown
