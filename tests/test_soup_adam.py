@@ -24,7 +24,8 @@ def make_soup(triangles: int, dtype: torch.dtype = torch.float32) -> Soup:
 
 
 def give_gradients(soups: list[Soup], step: int) -> None:
-    """Give all soups the same gradients: of every size, and 0 on every fifth corner, as for hidden triangles."""
+    """Give all soups the same gradients: of every size, and 0 on every fifth corner, as for hidden
+    triangles."""
     for index, tensors in enumerate(zip(*(soup.tensors() for soup in soups), strict=True)):
         draws = stream(step, "gradients", index)
         gradient = draws.normal(size=tensors[0].shape) * 10.0 ** draws.uniform(

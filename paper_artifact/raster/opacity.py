@@ -1,6 +1,5 @@
 """The opacity gradient on the CPU: DiffSoup's estimate of what a triangle's opacity does to the error, by
-stochastic masking.
-"""
+stochastic masking."""
 
 from __future__ import annotations
 

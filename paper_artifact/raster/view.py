@@ -131,14 +131,14 @@ class ViewRaster:
         self, soup: SoupArrays, rays: np.ndarray, features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
     ) -> None:
         """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; soup,
-        rays as shaded.
-        """
+        rays as shaded."""
         shading.shade_backward(
             self.shown, self.covered, rays, soup.features, soup.mlp, self.gradient, features_out, mlp_out
         )
 
     def seen(self) -> np.ndarray:
-        """Return which triangle is visible at each pixel, (H,W) int32: its index + 1, 0 where there is none."""
+        """Return which triangle is visible at each pixel, (H,W) int32: its index + 1, 0 where there is
+        none."""
         size = self.height * self.width
         return self.surface.triangle[:size].reshape(self.height, self.width) + 1
 

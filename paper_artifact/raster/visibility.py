@@ -182,8 +182,7 @@ def set_up_triangles(clip, height, width, planes):
 @inlined
 def line(coefficients, t, y):
     """Return the eight numbers of triangle t on the row y below its first one: mu_0, mu_1, mu_2, depth at
-    column 0, and per column.
-    """
+    column 0, and per column."""
     a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
     a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
     a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
@@ -194,8 +193,7 @@ def line(coefficients, t, y):
 @inlined
 def along(of_line, x):
     """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first
-    column on).
-    """
+    column on)."""
     e0, e1, e2, ez, b0, b1, b2, bz = of_line
     return e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
 
@@ -255,8 +253,7 @@ def draw(planes, kept, opacity, width, key, stochastic, surface):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def list_visible(planes, met, width, surface, shown):
     """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned;
-    width in pixels.
-    """
+    width in pixels."""
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
     triangle = surface.triangle
     shown_pixel, shown_triangle, shown_b0, shown_b1 = shown

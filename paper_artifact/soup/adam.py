@@ -69,7 +69,7 @@ class KernelOptimiser:
         self._means = [np.zeros_like(value) for value in self._values]
         self._squares = [np.zeros_like(value) for value in self._values]
         self._squares[0] = np.zeros(len(self._values[0]) // 3, np.float32)
-        self._steps = {name: 0 for name in NAMES}  # taken with these moments
+        self._steps = dict.fromkeys(NAMES, 0)  # taken with these moments
 
     def step(self, rates: Mapping[str, float]) -> None:
         """Move every tensor along its gradient; rates by name, see `NAMES`."""
@@ -79,6 +79,7 @@ class KernelOptimiser:
         arrays = zip(NAMES, self._tensors, self._values, self._means, self._squares, strict=True)
         for name, tensor, value, mean, square in arrays:
             rule = vector_adam if name == "vertices" else adam
+            assert tensor.grad is not None, "a step without gradients"
             rule(value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name])
 
     def mlp_state(self) -> dict[str, Any]:
@@ -115,7 +116,8 @@ class TorchOptimiser:
             optimiser.step()
 
     def mlp_state(self) -> dict[str, Any]:
-        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes them."""
+        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes
+        them."""
         states = [self._optimisers["mlp"].state[tensor] for tensor in self._mlp]
         mean, square = ([state[name].flatten() for state in states] for name in ("exp_avg", "exp_avg_sq"))
         return {"step": int(states[0]["step"]), "mean": mean, "square": square}
