@@ -1,4 +1,4 @@
-"""The numba type behind `lanes`: its LLVM form, its operators, and what the operations there are built from."""
+"""The numba type behind `lanes`: its LLVM form, its operators, and what operations are built from."""
 
 from __future__ import annotations
 
