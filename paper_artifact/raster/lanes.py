@@ -17,7 +17,7 @@ vector to the machine:
 
 Operations, for vectors a, b, c of one type (numbers mix in as constants of all lanes: `0.5 * a`):
 
-    a + b, a - b, a * b, a / b, -a       fadd, fsub, fmul, fdiv, rounded as scalars are; on int32 add, sub, mul
+    a + b, a - b, a * b, a / b, -a       fadd, fsub, fmul, fdiv, rounded as scalars are; int32 add, sub, mul
     fma(a, b, c) = a·b + c               llvm.fmuladd: one rounding where the machine has FMA, else mul and
                                          add; never the call of libm that llvm.fma becomes there
     a < b, <=, >, >=, ==, !=             fcmp ordered (!= unordered), icmp signed → BOOL
