@@ -107,19 +107,17 @@ def test_integers_wrap_and_shift_as_unsigned_ones():
 
 def test_selection_extremes_and_conversion():
     @numba.njit
-    def run(x, y, out, whole):
+    def run(x, y, whole, out):
         a, b = lanes.load(x, 0), lanes.load(y, 0)
         lanes.store(out, 0, lanes.select(a < b, a, 0.5))
         lanes.store(out, 16, lanes.minimum(a, b))
         lanes.store(out, 32, lanes.maximum(a, 0.0))
-        lanes.store(whole, 0, lanes.to_int(10.0 * a))
         lanes.store(out, 48, lanes.to_float(lanes.load(whole, 0)))
 
-    x, y, out, whole = floats(0, 16), floats(1, 16), np.empty(64, np.float32), np.empty(16, np.int32)
-    run(x, y, out, whole)
+    x, y, whole, out = floats(0, 16), floats(1, 16), integers(2, 16), np.empty(64, np.float32)
+    run(x, y, whole, out)
     assert np.array_equal(out[:16], np.where(x < y, x, np.float32(0.5)))
     assert np.array_equal(out[16:48], np.r_[np.minimum(x, y), np.maximum(x, 0)])
-    assert np.array_equal(whole, (np.float32(10) * x).astype(np.int32))
     assert np.array_equal(out[48:], whole.astype(np.float32))
 
 
@@ -128,20 +126,34 @@ def test_lanes_move_where_they_should():
     def run(x, out, mask_of):
         a, b = lanes.load(x, 0), lanes.load(x, 16)
         lanes.store(out, 0, lanes.shifted(a, b, 5))
-        lanes.store(out, 16, lanes.join(lanes.high(a), lanes.low(b)))
+        lanes.store(out, 16, lanes.join(lanes.load8(x, 8), lanes.load8(x, 16)))
         mask = a < mask_of
         kept = lanes.bits(mask)
         lanes.store_part(out, 32, lanes.compress(a, mask), lanes.popcount(kept))
-        return lanes.lane(a, 3), lanes.lane(b, len(x) - 20), lanes.trailing_zeros(kept), lanes.popcount(kept)
+        return lanes.popcount(kept)
 
     x, out = floats(0, 32), np.zeros(48, np.float32)
     for border in (-9.0, 0.0, 9.0):
         out[:] = 0.0
         kept = x[:16][x[:16] < border]
-        first = int(np.argmax(x[:16] < border)) if len(kept) else 16
-        assert run(x, out, border) == (x[3], x[28], first, len(kept))
+        assert run(x, out, border) == len(kept)
         assert np.array_equal(out[:16], x[5:21]) and np.array_equal(out[16:32], x[8:24])
         assert np.array_equal(out[32:], np.r_[kept, np.zeros(16 - len(kept), np.float32)])
+
+
+def test_zips_and_halves_are_each_others_inverse():
+    @numba.njit
+    def run(x, out):
+        a, b = lanes.load(x, 0), lanes.load(x, 16)
+        low, high = lanes.zip_low(a, b), lanes.zip_high(a, b)
+        lanes.store(out, 0, low)
+        lanes.store(out, 16, high)
+        lanes.store(out, 32, lanes.evens(low, high))
+        lanes.store(out, 48, lanes.odds(low, high))
+
+    x, out = floats(0, 32), np.empty(64, np.float32)
+    run(x, out)
+    assert np.array_equal(out[:32], x.reshape(2, 16).T.reshape(-1)) and np.array_equal(out[32:], x)
 
 
 def test_total_adds_halves_onto_each_other():

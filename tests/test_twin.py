@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 import scipy.special
@@ -10,7 +11,7 @@ import torch
 import trimesh
 
 from paper_artifact.errors import InputError
-from paper_artifact.raster import draws, twin
+from paper_artifact.raster import draws, lanes, twin
 from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
 
 KEYS = [draws.view_key(3, 5, view) for view in range(3)]
@@ -24,15 +25,30 @@ def random(seed: int, *shape: int) -> torch.Tensor:
     return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
+def reference_draw(key: int, pixel: int, triangle: int) -> float:
+    """Return the draw by Python's integers: Wellons' lowbias32 of the counters, its upper 24 bits."""
+    x = (key + pixel * 0x9E3779B1 + triangle * 0x85EBCA77) % 2**32
+    x = (x ^ x >> 16) * 0x7FEB352D % 2**32
+    x = (x ^ x >> 15) * 0x846CA68B % 2**32
+    return ((x ^ x >> 16) >> 8) / 2**24
+
+
+@numba.njit
+def sixteen_draws(key, pixel, triangle, out):
+    lanes.store(out, 0, draws.draw_lanes(key, lanes.iota() + pixel, triangle))
+
+
 def test_numba_and_torch_draw_the_same_bits_and_they_are_uniform():
     rng = np.random.default_rng(0)
     pixel, triangle = rng.integers(0, 65536, 4000), rng.integers(0, 6000, 4000)
     key = draws.view_key(7, 2500, 71)
     ours = draws.draw_torch(key, torch.from_numpy(pixel), torch.from_numpy(triangle)).numpy()
-    kernel = [
-        draws.draw(np.uint32(key), np.uint32(p), np.uint32(t)) for p, t in zip(pixel, triangle, strict=True)
-    ]
-    assert np.array_equal(ours, np.array(kernel, dtype=np.float64))
+    expected = np.array([reference_draw(key, int(p), int(t)) for p, t in zip(pixel, triangle, strict=True)])
+    assert np.array_equal(ours, expected)
+    kernel = np.empty(16, np.float32)
+    for start, index in zip(pixel[:200], triangle[:200], strict=True):
+        sixteen_draws(np.uint32(key), start, index, kernel)
+        assert kernel.tolist() == [reference_draw(key, int(start) + k, int(index)) for k in range(16)]
     neighbours = draws.draw_torch(key, torch.arange(20000), torch.full((20000,), 12)).numpy()
     for sample in (ours, neighbours):
         assert scipy.stats.kstest(sample, "uniform").pvalue > 1e-3
@@ -94,7 +110,7 @@ def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent()
         assert alpha == pytest.approx(
             float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12
         )
-        if alpha >= float(draws.draw(np.uint32(KEYS[view]), np.uint32(pixel), np.uint32(triangle))):
+        if alpha >= reference_draw(KEYS[view], pixel, triangle):
             survived += 1
             best[view, pixel] = min(best.get((view, pixel), (2.0, 0)), (depth, triangle + 1))
     assert 0.3 < survived / len(raster.fragment_view) < 0.7
