@@ -37,19 +37,31 @@ def near_degenerate(k: int) -> np.ndarray:
     return bases[k % 3] + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
+def both_ways(quick, exact_value, points: np.ndarray, rows: tuple[int, ...], truth: Fraction) -> None:
+    """The filter decides nothing wrongly, and what it leaves open the exact part decides rightly."""
+    value, bound = quick(points, *rows)
+    assert bound >= 0
+    if abs(value) > bound:
+        assert np.sign(value) == np.sign(truth)
+    assert np.sign(exact_value(points, *rows, WS)) == np.sign(truth)
+
+
 @pytest.mark.parametrize("part", range(3))
 def test_predicates_have_the_sign_of_rational_arithmetic(part):
     for k in range(part, 600, 3):
         points = near_degenerate(k)
         orient = determinant(fractions(points[:4], 3))
+        both_ways(predicates.orient3d_filter, predicates.orient3d_exact, points, (0, 1, 2, 3), orient)
         assert np.sign(predicates.orient3d(points, 0, 1, 2, 3, WS)) == np.sign(orient)
         vectors = fractions(points, 4)
         sphere_sign = determinant([[*v, sum(x * x for x in v)] for v in vectors])
+        rows = (0, 1, 2, 3, 4)
+        both_ways(predicates.insphere_filter, predicates.insphere_exact, points, rows, sphere_sign)
         # The determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented
         # tetrahedron (Shewchuk).
         assert np.sign(predicates.insphere(points, 0, 1, 2, 3, 4, WS)) == np.sign(sphere_sign)
         a, b = fractions(points[:3], 2)
-        assert predicates.edge_excludes(points, 0, 1, 2, WS) == (sum(x * y for x, y in zip(a, b)) >= 0)
+        both_ways(predicates.edge_filter, predicates.edge_exact, points, (0, 1, 2), dot(a, b))
         u, v, w = fractions(points[:4], 3)
         normal = [v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]]
         if any(normal):  # centre of the circle through 0, v, w, then the power of u
@@ -66,7 +78,7 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
                 ):
                     break
             power = sum(x * x for x in u) - 2 * sum(c * x for c, x in zip(centre, u))
-            assert predicates.triangle_excludes(points, 3, 1, 2, 0, WS) == (power >= 0)
+            both_ways(predicates.triangle_filter, predicates.triangle_exact, points, (3, 1, 2, 0), power)
 
 
 def test_double_doubles_and_expansions_agree_with_rational_arithmetic():

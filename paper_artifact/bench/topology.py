@@ -64,8 +64,8 @@ def plan_rows(sizes: Sequence[int] = (2048, 8192), repetitions: int = 15) -> lis
     """Return rows {M, pulls, refresh_ms, persistence_ms, frozen_ms}: CPU ms of plans with thousands of pulls.
 
     M points in a cube against three target bars, with a floor so low that about one bar and a half per point
-    is significant. Medians of interleaved repetitions; a refresh is persistence and plan; a frozen step is the
-    loss and its gradient by the points. Raises InputError for fewer than one repetition.
+    is significant. Medians of interleaved repetitions; a refresh is persistence and plan; a frozen step is
+    the loss and its gradient by the points. Raises InputError for fewer than one repetition.
     """
     if repetitions < 1:
         raise InputError("the benchmark needs at least one repetition")
