@@ -298,7 +298,7 @@ def test_triangulation_equals_scipys_on_generic_points(n):
     points = draw(f"delaunay {n}").random((n, 3))
     scaled, unit = ordering.normalised(points)
     np.testing.assert_array_equal(scaled * unit, points)
-    order = ordering.insertion_order(scaled, ordering.ROUNDS)
+    order = ordering.insertion_order(ordering.hilbert_indices(scaled))
     ordered = np.ascontiguousarray(scaled[order])
     assert delaunay.first_tetrahedron(ordered, order)
     mesh, distinct = delaunay.triangulate(ordered)
@@ -334,9 +334,19 @@ def test_sort_keys_is_a_stable_sort():
 
 
 def test_insertion_order_is_a_permutation():
-    points = CLOUDS["duplicates"]()
-    assert sorted(ordering.insertion_order(points, ordering.ROUNDS)) == list(range(len(points)))
-    assert sorted(ordering.insertion_order(np.zeros((7, 3)), 0)) == list(range(7))
+    for points in (CLOUDS["duplicates"](), np.zeros((7, 3))):
+        order = ordering.insertion_order(ordering.hilbert_indices(points))
+        assert sorted(order) == list(range(len(points)))
+
+
+def test_the_hilbert_curve_visits_every_cell_and_never_jumps():
+    side = 8
+    grid = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = np.full((1, 3), (1 << ordering.HILBERT_BITS) - 1)  # fixes the box: the cells are the grid's
+    places = ordering.hilbert_indices(np.vstack([grid, corner]).astype(float))[:-1]
+    assert sorted(places) == list(range(side**3))
+    steps = np.abs(np.diff(grid[np.argsort(places)], axis=0)).sum(axis=1)
+    assert (steps == 1).all()
 
 
 # the benchmark's rows

@@ -13,7 +13,13 @@ import numpy as np
 from numba import njit
 
 from paper_artifact.alpha.expansions import WORKSPACE
-from paper_artifact.alpha.predicates import insphere, orient3d
+from paper_artifact.alpha.predicates import (
+    insphere,
+    insphere_filter,
+    orient3d,
+    orient3d_exact,
+    orient3d_filter,
+)
 
 INFINITE = -1  # the last vertex of a cell outside the hull
 DEAD = -2  # the first vertex of an unused row
@@ -30,6 +36,8 @@ START = np.array(
     ],
     dtype=np.int32,
 )
+# The triangle opposite vertex i, turned so that orient3d with a point on the side of vertex i is positive.
+FACE = np.array([[2, 1, 3], [0, 2, 3], [1, 0, 3], [0, 1, 2]])
 
 
 def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
@@ -76,7 +84,18 @@ def first_tetrahedron(points: np.ndarray, order: np.ndarray) -> bool:
     return False
 
 
-@njit("boolean(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
+def _conflict_filter(points: np.ndarray, mesh: np.ndarray, t: int, p: int) -> tuple[float, float]:
+    """Return (value, bound) of p in the sphere of cell t, open (0, 0) for an infinite cell."""
+    d = mesh[t, 3]
+    if d == INFINITE:
+        return 0.0, 0.0
+    return insphere_filter(
+        points, np.uint64(mesh[t, 0]), np.uint64(mesh[t, 1]), np.uint64(mesh[t, 2]), np.uint64(d), p
+    )
+
+
+@njit("boolean(float64[:,::1], int32[:,::1], int64, int64, float64[::1])", cache=True, nogil=True)
 def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
     """Return whether p destroys cell t: p inside its sphere, or, for an infinite cell, beyond its triangle.
 
@@ -90,27 +109,22 @@ def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.nd
     return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
 
 
-@njit("int32(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
     """Walk from cell t; return the finite cell that contains p, or an infinite one p lies beyond."""
     if mesh[t, 3] == INFINITE:
         t = mesh[t, 7]
-    previous = -1
+    previous = np.int32(-1)
     while mesh[t, 3] != INFINITE:
-        a, b, c, d = mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3]
-        following = -1
+        following = np.int32(-1)
         for i in range(4):
             other = mesh[t, 4 + i]
             if other == previous:
                 continue
-            if i == 0:
-                side = orient3d(points, p, b, c, d, ws)
-            elif i == 1:
-                side = orient3d(points, a, p, c, d, ws)
-            elif i == 2:
-                side = orient3d(points, a, b, p, d, ws)
-            else:
-                side = orient3d(points, a, b, c, p, ws)
+            a, b, c = mesh[t, FACE[i, 0]], mesh[t, FACE[i, 1]], mesh[t, FACE[i, 2]]
+            side, bound = orient3d_filter(points, np.uint64(a), np.uint64(b), np.uint64(c), p)
+            if abs(side) <= bound:
+                side = orient3d_exact(points, a, b, c, p, ws)
             if side < 0.0:
                 following = other
                 break
@@ -123,10 +137,9 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
 
 @njit("int32[:,::1](int32[:,::1], int64)", cache=True, nogil=True)
 def _grown(array: np.ndarray, rows: int) -> np.ndarray:
-    larger = np.empty((rows, array.shape[1]), dtype=np.int32)
-    for i in range(rows):
-        for j in range(array.shape[1]):
-            larger[i, j] = array[i, j] if i < len(array) else DEAD
+    """Return a copy of (m, k) `array` with `rows` rows, the new ones 0."""
+    larger = np.zeros((rows, array.shape[1]), dtype=np.int32)
+    larger[: len(array)] = array
     return larger
 
 
@@ -145,15 +158,14 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
     distinct = n
     capacity = 9 * n + 64
     mesh = np.empty((capacity, 8), dtype=np.int32)  # a cell's vertices, then its neighbours opposite to them
-    mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not
-    for t in range(5):
-        for i in range(8):
-            mesh[t, i] = START[t, i]
+    mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not; less: not yet known
+    mesh[:5] = START
     used = 5
     free = np.empty((capacity, 1), dtype=np.int32)
     free_count = 0
     cavity = np.empty((256, 1), dtype=np.int32)
     rim = np.empty((256, 6), dtype=np.int32)  # new cell's vertices, the slot of p, the cell outside
+    values, bounds = np.empty(4), np.empty(4)
     table = 1024
     slot_keys = np.empty(table, dtype=np.int64)
     slot_sides = np.empty(table, dtype=np.int32)
@@ -175,8 +187,8 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 distinct -= 1
                 last = first
                 continue
-        # the cavity: all cells in conflict, connected; its rim becomes the new cells
-        inside, outside = 2 * p, 2 * p + 1
+        # The cavity: all cells in conflict, connected; its rim becomes the new cells.
+        inside, outside = np.int32(2 * p), np.int32(2 * p + 1)
         cavity[0, 0] = first
         mark[first, 0] = inside
         count, done, faces = 1, 0, 0
@@ -187,13 +199,21 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 cavity = _grown(cavity, 2 * len(cavity))
             if faces + 4 > len(rim):
                 rim = _grown(rim, 2 * len(rim))
+            # All neighbours' values first: without a branch between them the processor overlaps them.
             for i in range(4):
-                other = mesh[t, 4 + i]
+                other = np.uint32(mesh[t, 4 + i])
+                if mark[other, 0] < inside:
+                    values[i], bounds[i] = _conflict_filter(points, mesh, other, p)
+            for i in range(4):
+                other = np.uint32(mesh[t, 4 + i])
                 state = mark[other, 0]
                 if state == inside:
                     continue
                 if state != outside:
-                    if _in_conflict(points, mesh, other, p, ws):
+                    conflict = values[i] > 0.0
+                    if abs(values[i]) <= bounds[i]:
+                        conflict = _in_conflict(points, mesh, other, p, ws)
+                    if conflict:
                         mark[other, 0] = inside
                         cavity[count, 0] = other
                         count += 1
@@ -207,12 +227,12 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 faces += 1
         # The outside cells still name the old ones: find the slot before those are overwritten.
         for f in range(faces):
-            other = rim[f, 5]
-            old, i = rim[f, 4] // 4, rim[f, 4] % 4
-            for j in range(4):
+            other, old = np.uint32(rim[f, 5]), rim[f, 4] >> 2
+            back = 0
+            for j in range(1, 4):
                 if mesh[other, 4 + j] == old:
-                    rim[f, 4] = 4 * i + j
-                    break
+                    back = j
+            rim[f, 4] = 4 * (rim[f, 4] & 3) + back
         if free_count + count > len(free):
             free = _grown(free, 2 * len(free) + count)
         for k in range(count):
@@ -231,17 +251,17 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
         for f in range(faces):
             if free_count > 0:
                 free_count -= 1
-                t = free[free_count, 0]
+                t = np.uint32(free[free_count, 0])
             else:
-                t = used
+                t = np.uint32(used)
                 used += 1
-            i, back, other = rim[f, 4] // 4, rim[f, 4] % 4, rim[f, 5]
+            i, back, other = rim[f, 4] >> 2, rim[f, 4] & 3, np.uint32(rim[f, 5])
             for j in range(4):
                 mesh[t, j] = rim[f, j]
             mark[t, 0] = 0
             mesh[t, 4 + i] = other
             mesh[other, 4 + back] = t
-            last = t
+            last = np.int32(t)
             # The triangle opposite j holds p and an edge of the rim, which one other new cell has as well.
             for j in range(4):
                 if j == i:
@@ -257,7 +277,7 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 while slot_stamps[place] == p and slot_keys[place] != key:
                     place = (place + 1) & (table - 1)
                 if slot_stamps[place] == p:
-                    mate, side = slot_sides[place] // 4, slot_sides[place] % 4
+                    mate, side = np.uint32(slot_sides[place] >> 2), slot_sides[place] & 3
                     mesh[t, 4 + j] = mate
                     mesh[mate, 4 + side] = t
                 else:

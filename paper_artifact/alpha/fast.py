@@ -27,13 +27,14 @@ def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
     scaled, unit = ordering.normalised(points)
     if len(points) < 4:
         return None
-    order = ordering.insertion_order(scaled, ordering.ROUNDS)
+    places = ordering.hilbert_indices(scaled)
+    order = ordering.insertion_order(places)
     ordered = np.ascontiguousarray(scaled[order])
     if not delaunay.first_tetrahedron(ordered, order):
         return None
     mesh, distinct = delaunay.triangulate(ordered)
     # From here on the vertices follow the Hilbert curve: fewer cache misses.
-    along = ordering.insertion_order(ordered, 0)
+    along = ordering.sort_keys(places[order])
     rank = np.empty_like(along)
     rank[along] = np.arange(len(along), dtype=np.int32)
     order, ordered = order[along], np.ascontiguousarray(ordered[along])

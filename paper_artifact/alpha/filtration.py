@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from paper_artifact.alpha.expansions import Formula, evaluate, exact
-from paper_artifact.alpha.predicates import edge_excludes, triangle_excludes
+from paper_artifact.alpha.predicates import edge_exact, edge_filter, triangle_exact, triangle_filter
 
 # Relative determinants below which a circumradius is evaluated in double-doubles (the error in float64 is at
 # most 1e-15 / FLAT), and in exact expansions (in double-doubles at most 1e-30 / FLATTER).
@@ -47,7 +47,7 @@ TETRAHEDRON, CENTRE = _circumcentre()
 TRIANGLE, NORMAL = _normal()
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
     """Return the squared circumradius of a tetrahedron, not exactly flat, given by row indices.
 
@@ -64,21 +64,27 @@ def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np
         y = uu * py + vv * (wz * ux - wx * uz) + ww * (uz * vx - ux * vz)
         z = uu * pz + vv * (wx * uy - wy * ux) + ww * (ux * vy - uy * vx)
         return (x * x + y * y + z * z) / (4.0 * det * det)
+    return _flat_tetrahedron_value(points, a, b, c, d, uu * vv * ww, ws)
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, float64, float64[::1])", cache=True, nogil=True)
+def _flat_tetrahedron_value(
+    points: np.ndarray, a: int, b: int, c: int, d: int, unit: float, ws: np.ndarray
+) -> float:
+    """Return what tetrahedron_value does, by double-doubles or, where det² < FLATTER² unit, exactly."""
     values = np.empty((9 + len(TETRAHEDRON), 2))
     rows = np.array([b, c, d, a])
     det = evaluate(points, rows, TETRAHEDRON, values)
-    if det * det < FLATTER * FLATTER * uu * vv * ww:
+    if det * det < FLATTER * FLATTER * unit:
         det = exact(points, rows, TETRAHEDRON, ws, values)
     half = 0.5 / det
     x, y, z = values[CENTRE[0], 0] * half, values[CENTRE[1], 0] * half, values[CENTRE[2], 0] * half
     return x * x + y * y + z * z
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
-    """Return the squared circumradius of a triangle whose corners are not exactly collinear, given by row
-    indices.
-    """
+    """Return the squared circumradius of a triangle, not exactly collinear, given by row indices."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
@@ -86,14 +92,21 @@ def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     area = x * x + y * y + z * z
     if area <= FLAT * FLAT * uu * vv:
-        values = np.empty((6 + len(TRIANGLE), 2))
-        rows = np.array([b, c, a])
-        evaluate(points, rows, TRIANGLE, values)
-        area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
-        if area < FLATTER * FLATTER * uu * vv:
-            exact(points, rows, TRIANGLE, ws, values)
-            area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
+        area = _flat_triangle_area(points, a, b, c, uu * vv, ws)
     return uu * vv / area * ww / 4.0
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, float64, float64[::1])", cache=True, nogil=True)
+def _flat_triangle_area(points: np.ndarray, a: int, b: int, c: int, unit: float, ws: np.ndarray) -> float:
+    """Return |u x v|² by double-doubles or, below FLATTER² unit, exactly."""
+    values = np.empty((6 + len(TRIANGLE), 2))
+    rows = np.array([b, c, a])
+    evaluate(points, rows, TRIANGLE, values)
+    area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
+    if area < FLATTER * FLATTER * unit:
+        exact(points, rows, TRIANGLE, ws, values)
+        area = values[NORMAL[0], 0] ** 2 + values[NORMAL[1], 0] ** 2 + values[NORMAL[2], 0] ** 2
+    return area
 
 
 @njit(cache=True, nogil=True)
@@ -163,6 +176,26 @@ def edges_of(triangles: np.ndarray, vertex_count: int, edge_count: int) -> tuple
     return of_triangle, edges
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _apex(cells: np.ndarray, t: int, a: int, b: int, c: int) -> int:
+    """Return the vertex of cell t that is not a, b or c."""
+    return np.int64(cells[t, 0]) + cells[t, 1] + cells[t, 2] + cells[t, 3] - a - b - c
+
+
+@njit(cache=True, nogil=True)
+def _open_sign(
+    points: np.ndarray, a: int, b: int, c: int, i: int, cells: np.ndarray, sides: np.ndarray, ws: np.ndarray
+) -> float:
+    """Return a number with the right sign for the i-th test of `values` at triangle (a, b, c)."""
+    if i < 2:
+        return triangle_exact(points, a, b, c, _apex(cells, np.int64(sides[i]), a, b, c), ws)
+    if i == 2:
+        return edge_exact(points, b, c, a, ws)
+    if i == 3:
+        return edge_exact(points, c, a, b, ws)
+    return edge_exact(points, a, b, c, ws)
+
+
 @njit(cache=True, nogil=True)
 def values(
     points: np.ndarray,
@@ -178,32 +211,36 @@ def values(
     squared.
     """
     m, k, e = len(cells), len(triangles), len(edges)
-    cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.empty(e)
+    cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.full(e, np.inf)
     for t in range(m):
         cell_values[t] = tetrahedron_value(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], ws)
     edge_gabriel = np.ones(e, dtype=np.bool_)
+    signs, bounds = np.empty(5), np.empty(5)
     for f in range(k):
-        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-        gabriel, least = True, np.inf
-        for s in range(2):
-            t = sides[f, s]
-            if t < 0:
-                continue
-            least = min(least, cell_values[t])
-            if gabriel:
-                for i in range(4):
-                    if of_cell[t, i] == f:
-                        gabriel = triangle_excludes(points, a, b, c, cells[t, i], ws)
-        triangle_values[f] = min(triangle_value(points, a, b, c, ws), least) if gabriel else least
+        a, b, c = np.int64(triangles[f, 0]), np.int64(triangles[f, 1]), np.int64(triangles[f, 2])
+        inner, other = np.int64(sides[f, 0]), np.int64(sides[f, 1])
+        # All signs first: without a branch between them the processor overlaps them.
+        signs[0], bounds[0] = triangle_filter(points, a, b, c, _apex(cells, inner, a, b, c))
+        signs[1], bounds[1] = 1.0, 0.0  # no cell outside the hull: nothing is in the sphere
+        if other >= 0:
+            signs[1], bounds[1] = triangle_filter(points, a, b, c, _apex(cells, other, a, b, c))
+        signs[2], bounds[2] = edge_filter(points, b, c, a)
+        signs[3], bounds[3] = edge_filter(points, c, a, b)
+        signs[4], bounds[4] = edge_filter(points, a, b, c)
+        own = triangle_value(points, a, b, c, ws)
+        least = cell_values[inner] if other < 0 else min(cell_values[inner], cell_values[other])
+        for i in range(5):
+            if abs(signs[i]) <= bounds[i]:
+                signs[i] = _open_sign(points, a, b, c, i, cells, sides[f], ws)
+        value = min(own, least) if signs[0] >= 0.0 and signs[1] >= 0.0 else least
+        triangle_values[f] = value
         for i in range(3):
-            if edge_gabriel[of_triangle[f, i]]:
-                u, v = triangles[f, (i + 1) % 3], triangles[f, (i + 2) % 3]
-                edge_gabriel[of_triangle[f, i]] = edge_excludes(points, u, v, triangles[f, i], ws)
+            edge = of_triangle[f, i]
+            edge_gabriel[edge] &= signs[2 + i] >= 0.0
+            edge_values[edge] = min(edge_values[edge], value)
     for i in range(e):
-        a, b = edges[i, 0], edges[i, 1]
-        x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
-        edge_values[i] = (x * x + y * y + z * z) / 4.0 if edge_gabriel[i] else np.inf
-    for f in range(k):
-        for i in range(3):
-            edge_values[of_triangle[f, i]] = min(edge_values[of_triangle[f, i]], triangle_values[f])
+        if edge_gabriel[i]:
+            a, b = edges[i, 0], edges[i, 1]
+            x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
+            edge_values[i] = min((x * x + y * y + z * z) / 4.0, edge_values[i])
     return cell_values, triangle_values, edge_values

@@ -62,57 +62,48 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
     return order
 
 
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _hilbert(x: int, y: int, z: int) -> int:
     """Return the Hilbert index of a cell with HILBERT_BITS bits per axis (Skilling 2004)."""
-    cell = np.empty(3, dtype=np.int64)
-    cell[0], cell[1], cell[2] = x, y, z
-    q = 1 << (HILBERT_BITS - 1)
-    while q > 1:
-        p = q - 1
-        for i in range(3):
-            if cell[i] & q:
-                cell[0] ^= p
-            else:
-                t = (cell[0] ^ cell[i]) & p
-                cell[0] ^= t
-                cell[i] ^= t
-        q >>= 1
-    cell[1] ^= cell[0]
-    cell[2] ^= cell[1]
+    for bit in range(HILBERT_BITS - 1, 0, -1):
+        p = (1 << bit) - 1
+        x ^= p if (x >> bit) & 1 else 0
+        x, y = (x ^ p, y) if (y >> bit) & 1 else (x ^ ((x ^ y) & p), y ^ ((x ^ y) & p))
+        x, z = (x ^ p, z) if (z >> bit) & 1 else (x ^ ((x ^ z) & p), z ^ ((x ^ z) & p))
+    y ^= x
+    z ^= y
     t = 0
-    q = 1 << (HILBERT_BITS - 1)
-    while q > 1:
-        if cell[2] & q:
-            t ^= q - 1
-        q >>= 1
+    for bit in range(HILBERT_BITS - 1, 0, -1):
+        t ^= (1 << bit) - 1 if (z >> bit) & 1 else 0
+    x, y, z = x ^ t, y ^ t, z ^ t
     index = 0
     for bit in range(HILBERT_BITS - 1, -1, -1):
-        for i in range(3):
-            index = (index << 1) | (((cell[i] ^ t) >> bit) & 1)
+        index = (index << 3) | ((x >> bit) & 1) << 2 | ((y >> bit) & 1) << 1 | ((z >> bit) & 1)
     return index
 
 
-def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
-    """Return the order (n,) int32 in which to insert `points` (n, 3) float64, n > 0.
+@njit("uint64[::1](int64[:,::1])", cache=True, nogil=True)
+def _hilbert_indices(cells: np.ndarray) -> np.ndarray:
+    indices = np.empty(len(cells), dtype=np.uint64)
+    for i in range(len(cells)):
+        indices[i] = _hilbert(cells[i, 0], cells[i, 1], cells[i, 2])
+    return indices
 
-    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over
-    rounds that double in size, and each round follows the Hilbert curve, so the next point is close to the
-    last. With `rounds` = 0 the plain Hilbert order.
-    """
+
+def hilbert_indices(points: np.ndarray) -> np.ndarray:
+    """Return the places (n,) uint64 of `points` (n, 3) float64, n > 0, on the Hilbert curve of their box."""
     low = points.min(axis=0)
     extent = float((points.max(axis=0) - low).max())
     scale = ((1 << HILBERT_BITS) - 1) / extent if extent > 0.0 else 0.0
-    return sort_keys(_keys(((points - low) * scale).astype(np.int64), rounds))
+    return _hilbert_indices(((points - low) * scale).astype(np.int64))
 
 
-@njit("uint64[::1](int64[:,::1], int64)", cache=True, nogil=True)
-def _keys(cells: np.ndarray, rounds: int) -> np.ndarray:
-    """Return the sort keys (n,) of (n, 3) cells of the Hilbert grid: the round above the Hilbert index."""
-    n = len(cells)
+@njit("uint64[::1](uint64[::1], int64)", cache=True, nogil=True)
+def _in_rounds(indices: np.ndarray, rounds: int) -> np.ndarray:
+    """Return the sort keys (n,) of points at `indices` (n,) of the Hilbert curve: round, then index."""
+    n = len(indices)
     keys = np.empty(n, dtype=np.uint64)
     for i in range(n):
-        cell = _hilbert(cells[i, 0], cells[i, 1], cells[i, 2])
         bits = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)  # splitmix64
         bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -120,5 +111,15 @@ def _keys(cells: np.ndarray, rounds: int) -> np.ndarray:
         level = 0
         while level < rounds and (bits >> np.uint64(level)) & np.uint64(1):
             level += 1
-        keys[i] = np.uint64(rounds - level) << np.uint64(3 * HILBERT_BITS) | np.uint64(cell)
+        keys[i] = np.uint64(rounds - level) << np.uint64(3 * HILBERT_BITS) | indices[i]
     return keys
+
+
+def insertion_order(indices: np.ndarray) -> np.ndarray:
+    """Return the order (n,) int32 in which to insert points at `indices` (n,) uint64 of the Hilbert curve.
+
+    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the point's number spreads the
+    points over rounds that double in size, and each round follows the curve, so the next point is close to
+    the last.
+    """
+    return sort_keys(_in_rounds(indices, ROUNDS))

@@ -4,6 +4,10 @@ Each is evaluated in float64 first and accepted when it exceeds a proven error b
 goes to double-doubles with a bound, and what is still open to exact expansions, so every sign is right for
 coplanar, cospherical and lattice-like input. `points` is (n, 3) float64, scaled as ordering.normalised does;
 a..e are row indices; `ws` is a workspace of expansions.WORKSPACE.
+
+NAME_filter returns the float64 value and its bound, and is compiled into its callers: most calls end there,
+and several in a row overlap in the processor. NAME_exact is the rest, out of the way. orient3d and insphere
+are both together.
 """
 
 from __future__ import annotations
@@ -14,9 +18,8 @@ from numba import njit
 from paper_artifact.alpha.expansions import ADD, MULTIPLY, Formula, evaluate, exact
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
-INSPHERE_BOUND = 1.7763568394002532e-15  # (16 + 224 u) u
-# Times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units.
-INSPHERE_STATIC = 4.5e-14
+# In units of max|dx| max|dy| max|dz| max|d|²: the largest permanent, and a bound, (16 + 224 u) u of that.
+INSPHERE_UNITS, INSPHERE_BOUND = 24.0, 4.5e-14
 DOT_BOUND = 1e-15  # above (5 + small) u for a sum of three products of rounded differences
 # Times |u||v|²|w|² max(|u|, |v|, |w|): six terms of at most 1 in this unit, each with at most 18 u.
 GABRIEL_BOUND = 1.3e-14
@@ -63,12 +66,9 @@ def _triangle() -> np.ndarray:
 ORIENT, INSPHERE, EDGE, TRIANGLE = _orient(), _insphere(), _edge(), _triangle()
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
-def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
-    """Return a number with the sign of det[a-d, b-d, c-d], 0 exactly when coplanar.
-
-    Positive when a, b, c turn clockwise seen from d.
-    """
+@njit(cache=True, nogil=True, forceinline=True)
+def orient3d_filter(points: np.ndarray, a: int, b: int, c: int, d: int) -> tuple[float, float]:
+    """Return det[a-d, b-d, c-d] in float64 and a bound of its error."""
     dx, dy, dz = points[d, 0], points[d, 1], points[d, 2]
     adx, ady, adz = points[a, 0] - dx, points[a, 1] - dy, points[a, 2] - dz
     bdx, bdy, bdz = points[b, 0] - dx, points[b, 1] - dy, points[b, 2] - dz
@@ -80,33 +80,38 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
     permanent = (
         (abs(bc) + abs(cb)) * abs(adz) + (abs(ca) + abs(ac)) * abs(bdz) + (abs(ab) + abs(ba)) * abs(cdz)
     )
-    bound = ORIENT_BOUND * permanent
-    if det > bound or -det > bound:
-        return det
-    if permanent == 0.0 and (adz == 0.0 and bdz == 0.0 and cdz == 0.0):
+    return det, ORIENT_BOUND * permanent
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def orient3d_exact(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
+    """Return what orient3d does, by expansions."""
+    height = points[d, 2]
+    if points[a, 2] == height and points[b, 2] == height and points[c, 2] == height:
         return 0.0
     return exact(points, np.array([a, b, c, d]), ORIENT, ws, np.empty((9 + len(ORIENT), 2)))
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
-def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
-    """Return a number with the sign of the in-sphere determinant, 0 exactly when cospherical.
+@njit(cache=True, nogil=True, forceinline=True)
+def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
+    """Return a number with the sign of det[a-d, b-d, c-d], 0 exactly when coplanar.
 
-    Positive when e lies inside the sphere through a, b, c, d, which must be positively oriented (orient3d >
-    0).
+    Positive when a, b, c turn clockwise seen from d.
     """
+    det, bound = orient3d_filter(points, a, b, c, d)
+    return det if abs(det) > bound else orient3d_exact(points, a, b, c, d, ws)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def insphere_filter(points: np.ndarray, a: int, b: int, c: int, d: int, e: int) -> tuple[float, float]:
+    """Return the in-sphere determinant in float64 and a bound of its error."""
     ex, ey, ez = points[e, 0], points[e, 1], points[e, 2]
     aex, aey, aez = points[a, 0] - ex, points[a, 1] - ey, points[a, 2] - ez
     bex, bey, bez = points[b, 0] - ex, points[b, 1] - ey, points[b, 2] - ez
     cex, cey, cez = points[c, 0] - ex, points[c, 1] - ey, points[c, 2] - ez
     dex, dey, dez = points[d, 0] - ex, points[d, 1] - ey, points[d, 2] - ez
-    aebe, beae = aex * bey, bex * aey
-    bece, cebe = bex * cey, cex * bey
-    cede, dece = cex * dey, dex * cey
-    deae, aede = dex * aey, aex * dey
-    aece, ceae = aex * cey, cex * aey
-    bede, debe = bex * dey, dex * bey
-    ab, bc, cd, da, ac, bd = aebe - beae, bece - cebe, cede - dece, deae - aede, aece - ceae, bede - debe
+    ab, bc, cd = aex * bey - bex * aey, bex * cey - cex * bey, cex * dey - dex * cey
+    da, ac, bd = dex * aey - aex * dey, aex * cey - cex * aey, bex * dey - dex * bey
     abc = aez * bc - bez * ac + cez * ab
     bcd = bez * cd - cez * bd + dez * bc
     cda = cez * da + dez * ac + aez * cd
@@ -119,52 +124,55 @@ def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.
     mx = max(max(abs(aex), abs(bex)), max(abs(cex), abs(dex)))
     my = max(max(abs(aey), abs(bey)), max(abs(cey), abs(dey)))
     mz = max(max(abs(aez), abs(bez)), max(abs(cez), abs(dez)))
-    bound = INSPHERE_STATIC * mx * my * mz * max(max(alift, blift), max(clift, dlift))
-    if det > bound or -det > bound:
-        return det
-    az, bz, cz, dz = abs(aez), abs(bez), abs(cez), abs(dez)
-    pab, pbc, pcd = abs(aebe) + abs(beae), abs(bece) + abs(cebe), abs(cede) + abs(dece)
-    pda, pac, pbd = abs(deae) + abs(aede), abs(aece) + abs(ceae), abs(bede) + abs(debe)
-    permanent = (
-        (pcd * bz + pbd * cz + pbc * dz) * alift
-        + (pda * cz + pac * dz + pcd * az) * blift
-        + (pab * dz + pbd * az + pda * bz) * clift
-        + (pbc * az + pac * bz + pab * cz) * dlift
-    )
-    bound = INSPHERE_BOUND * permanent
-    if det > bound or -det > bound:
-        return det
+    return det, INSPHERE_BOUND * mx * my * mz * max(max(alift, blift), max(clift, dlift))
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def insphere_exact(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
+    """Return what insphere does, by double-doubles or, where they leave it open, by expansions."""
+    _, bound = insphere_filter(points, a, b, c, d, e)
     rows = np.array([a, b, c, d, e])
     values = np.empty((12 + len(INSPHERE), 2))
     det = evaluate(points, rows, INSPHERE, values)
-    bound = DD_BOUND * permanent
-    if det > bound or -det > bound:
+    if abs(det) > DD_BOUND * INSPHERE_UNITS / INSPHERE_BOUND * bound:
         return det
     return exact(points, rows, INSPHERE, ws, values)
 
 
-@njit("boolean(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
-def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> bool:
-    """Return True unless c lies strictly inside the smallest sphere of the edge (a, b)."""
+@njit(cache=True, nogil=True, forceinline=True)
+def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
+    """Return a number with the sign of the in-sphere determinant, 0 exactly when cospherical.
+
+    Positive when e lies inside the sphere through a, b, c, d, whose orient3d must be positive.
+    """
+    det, bound = insphere_filter(points, a, b, c, d, e)
+    return det if abs(det) > bound else insphere_exact(points, a, b, c, d, e, ws)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def edge_filter(points: np.ndarray, a: int, b: int, c: int) -> tuple[float, float]:
+    """Return (a-c)·(b-c) in float64 and a bound of its error: negative for c in the edge's smallest
+    sphere.
+    """
     x = (points[a, 0] - points[c, 0]) * (points[b, 0] - points[c, 0])
     y = (points[a, 1] - points[c, 1]) * (points[b, 1] - points[c, 1])
     z = (points[a, 2] - points[c, 2]) * (points[b, 2] - points[c, 2])
-    dot = x + y + z
-    bound = DOT_BOUND * (abs(x) + abs(y) + abs(z))
-    if dot > bound:
-        return True
-    if -dot > bound:
-        return False
-    return exact(points, np.array([a, b, c]), EDGE, ws, np.empty((6 + len(EDGE), 2))) >= 0.0
+    return x + y + z, DOT_BOUND * (abs(x) + abs(y) + abs(z))
 
 
-@njit("boolean(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
-def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> bool:
-    """Return True unless a lies strictly inside the smallest circumsphere of the triangle (b, c, d).
+@njit("float64(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def edge_exact(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
+    """Return (a-c)·(b-c) by expansions."""
+    return exact(points, np.array([a, b, c]), EDGE, ws, np.empty((6 + len(EDGE), 2)))
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def triangle_filter(points: np.ndarray, b: int, c: int, d: int, a: int) -> tuple[float, float]:
+    """Return the Gabriel value of a and the triangle (b, c, d) in float64 and a bound of its error.
 
     With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the
-    circumcentre of the tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the
-    circumcentre lies on the far side of the triangle.
+    circumcentre of the tetrahedron (up to twice its determinant), the value is N·(v x w). It is negative for
+    a inside the smallest circumsphere of the triangle: the circumcentre lies on the far side of the triangle.
     """
     ux, uy, uz = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
     vx, vy, vz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
@@ -172,18 +180,16 @@ def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np
     uu, vv, ww = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
     uv, uw, vw = ux * vx + uy * vy + uz * vz, ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     value = uu * (vv * ww - vw * vw) + vv * (vw * uw - ww * uv) + ww * (uv * vw - vv * uw)
-    unit = vv * ww * np.sqrt(uu * max(uu, max(vv, ww)))
-    bound = GABRIEL_BOUND * unit
-    if value > bound:
-        return True
-    if -value > bound:
-        return False
+    return value, GABRIEL_BOUND * (vv * ww * np.sqrt(uu * max(uu, max(vv, ww))))
+
+
+@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+def triangle_exact(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> float:
+    """Return a number with the sign of the Gabriel value, by double-doubles or, if open still, expansions."""
+    _, bound = triangle_filter(points, b, c, d, a)
     rows = np.array([a, c, d, b])
     values = np.empty((9 + len(TRIANGLE), 2))
     value = evaluate(points, rows, TRIANGLE, values)
-    bound = DD_BOUND * unit
-    if value > bound:
-        return True
-    if -value > bound:
-        return False
-    return exact(points, rows, TRIANGLE, ws, values) >= 0.0
+    if abs(value) > DD_BOUND / GABRIEL_BOUND * bound:
+        return value
+    return exact(points, rows, TRIANGLE, ws, values)

@@ -34,6 +34,13 @@ def _root(parents: np.ndarray, i: int) -> int:
     return i
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _later(i: int, i_value: float, j: int, j_value: float) -> tuple[int, float]:
+    """Return the later of two simplices of one dimension, and its value."""
+    later = (j_value > i_value) | ((j_value == i_value) & (j > i))
+    return (j if later else i), (j_value if later else i_value)
+
+
 @njit(cache=True, nogil=True)
 def apparent_voids(
     cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray
@@ -47,14 +54,10 @@ def apparent_voids(
     state = np.zeros(len(sides), dtype=np.int8)
     parents = np.arange(m + 1).astype(np.int32)
     for t in range(m):
-        latest = of_cell[t, 0]
+        latest, value = of_cell[t, 0], triangle_values[of_cell[t, 0]]
         for i in range(1, 4):
-            f = of_cell[t, i]
-            if triangle_values[f] > triangle_values[latest] or (
-                triangle_values[f] == triangle_values[latest] and f > latest
-            ):
-                latest = f
-        if triangle_values[latest] != cell_values[t]:
+            latest, value = _later(latest, value, of_cell[t, i], triangle_values[of_cell[t, i]])
+        if value != cell_values[t]:
             continue
         other = sides[latest, 0] if sides[latest, 1] == t else sides[latest, 1]
         if other < 0:
@@ -74,24 +77,20 @@ def apparent_loops(
 
     The state of those triangles becomes KILLS, IN PLACE.
     """
-    first = np.full(len(edge_values), np.int32(-1))
-    for f in range(len(of_triangle)):
-        for i in range(3):
-            edge = of_triangle[f, i]
-            if first[edge] < 0 or triangle_values[f] < triangle_values[first[edge]]:
-                first[edge] = f
+    # No coface of an edge has a lower value: the first triangle of the same value is the earliest one.
+    met = np.zeros(len(edge_values), dtype=np.bool_)
     killer = np.full(len(edge_values), np.int32(-1))
     for f in range(len(of_triangle)):
-        latest = of_triangle[f, 0]
-        for i in range(1, 3):
-            edge = of_triangle[f, i]
-            if edge_values[edge] > edge_values[latest] or (
-                edge_values[edge] == edge_values[latest] and edge > latest
-            ):
-                latest = edge
-        if edge_values[latest] == triangle_values[f] and first[latest] == f:
+        here = triangle_values[f]
+        a, b, c = of_triangle[f, 0], of_triangle[f, 1], of_triangle[f, 2]
+        latest, value = _later(a, edge_values[a], b, edge_values[b])
+        latest, value = _later(latest, value, c, edge_values[c])
+        if value == here and not met[latest]:
             killer[latest] = f
             state[f] = KILLS
+        met[a] |= edge_values[a] == here
+        met[b] |= edge_values[b] == here
+        met[c] |= edge_values[c] == here
     return killer
 
 
