@@ -13,8 +13,7 @@ from paper_artifact.raster.lane_type import F32, WIDTH, Lanes, call, first_lanes
 
 @numba.njit(cache=True)
 def aligned_zeros(count):
-    """Return `count` float32 zeros that begin at a multiple of 64 bytes, so that no vector lies across two lines
-    of the cache."""
+    """Return `count` float32 zeros that begin at a multiple of 64 bytes: no vector crosses a cache line."""
     room = np.zeros(count + WIDTH, np.float32)
     start = (-room.ctypes.data % 64) // 4
     return room[start : start + count]

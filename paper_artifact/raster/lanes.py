@@ -101,11 +101,11 @@ from paper_artifact.raster.lane_type import (
 
 # fmt: off
 __all__ = [
-    "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "aligned_zeros", "bits", "compress",
-    "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8", "load_part",
-    "load_rows", "load_unit_part", "maximum", "minimum", "odds", "popcount", "scatter", "select",
-    "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part", "to_float",
-    "total", "zip_high", "zip_low",
+    "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "aligned_zeros", "bits",
+    "compress", "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8",
+    "load_part", "load_rows", "load_unit_part", "maximum", "minimum", "odds", "popcount", "scatter",
+    "select", "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part",
+    "to_float", "total", "zip_high", "zip_low",
 ]
 # fmt: on
 
