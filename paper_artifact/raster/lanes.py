@@ -53,6 +53,8 @@ first, whatever its shape. Nothing is checked.
     add_to_rows(x, indices, columns)     x[indices] += such a tuple, one row after another, so indices may
                                          repeat; x float32 or float64
 
+    aligned_zeros(n)                     a float32 array to work in that begins at a line of the cache
+
 To see what became of a kernel: `kernel.inspect_llvm(kernel.signatures[0])` holds "<16 x float>" and no
 "extractelement" in its loops, `kernel.inspect_asm(…)` names zmm or ymm registers (of a kernel just compiled:
 numba inspects none that comes from its cache). NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma compiles
@@ -72,6 +74,7 @@ from numba.core.extending import intrinsic
 
 from paper_artifact.raster.lane_memory import (
     add_to_rows,
+    aligned_zeros,
     gather,
     load,
     load8,
@@ -98,11 +101,11 @@ from paper_artifact.raster.lane_type import (
 
 # fmt: off
 __all__ = [
-    "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "bits", "compress",
-    "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8", "load_part",
-    "load_rows", "load_unit_part", "maximum", "minimum", "odds", "popcount", "scatter", "select",
-    "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part", "to_float",
-    "total", "zip_high", "zip_low",
+    "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "aligned_zeros", "bits",
+    "compress", "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8",
+    "load_part", "load_rows", "load_unit_part", "maximum", "minimum", "odds", "popcount", "scatter",
+    "select", "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part",
+    "to_float", "total", "zip_high", "zip_low",
 ]
 # fmt: on
 

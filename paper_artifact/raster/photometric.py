@@ -21,6 +21,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.raster.lanes import (
     WIDTH,
     absolute,
+    aligned_zeros,
     bits,
     first,
     fma,
@@ -199,13 +200,11 @@ def photometric_view(colour, target, views, gradient, error):
     windows = 3.0 * (height - 10) * (width - 10) * views
     ssim_scale = np.float32(-0.5 * SSIM_WEIGHT / windows)
     l1_step = np.float32(l1_scale)
-    x_ring = np.zeros((blocks, _SLOTS, WIDTH), np.float32)
-    y_ring = np.zeros((blocks, _SLOTS, WIDTH), np.float32)
-    d_rings = np.zeros((3, blocks, _SLOTS, WIDTH), np.float32)
-    lines = np.zeros((5, 2, WIDTH * (blocks + 1)), np.float32)
-    d_lines = np.zeros(
-        (3, 2, WIDTH * (blocks + 1)), np.float32
-    )  # a block of zeros stands before the first window
+    ring, line = blocks * _SLOTS * WIDTH, WIDTH * (blocks + 1)
+    x_ring, y_ring = aligned_zeros(ring), aligned_zeros(ring)
+    d_rings = aligned_zeros(3 * ring).reshape(3, ring)
+    lines = aligned_zeros(10 * line).reshape(5, 2, line)
+    d_lines = aligned_zeros(6 * line).reshape(3, 2, line)  # a block of zeros stands before the first window
     missing, distance = 0.0, 0.0
     for channel in range(3):
         corner = (channel * height + top) * width + left

@@ -19,6 +19,7 @@ import numpy as np
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, INPUTS
 from paper_artifact.raster.lanes import (
     WIDTH,
+    aligned_zeros,
     evens,
     first,
     floor,
@@ -223,7 +224,7 @@ def shade_forward(shown, covered, rays, features, mlp, colour):
     w1, c1, w2, c2, w3, c3 = mlp
     height, width = colour.shape[1], colour.shape[2]
     padded = _padded(features)
-    kept = np.empty((ROWS, WIDTH), np.float32)
+    kept = aligned_zeros(ROWS * WIDTH)
     for k in range(0, covered, WIDTH):
         _activate(pixel, triangle, b0, b1, k, width, height, rays, padded, w1, c1, w2, c2, w3, c3, kept, 0)
         where, lanes, blend = load(pixel, k), first(covered - k), load(kept, 3 * WIDTH)
@@ -326,13 +327,13 @@ def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature
     height, width = colour_gradient.shape[1], colour_gradient.shape[2]
     size = height * width
     padded, padded_gradient = _padded(features), np.zeros((len(features), 3, _PADDED), np.float32)
-    kept = np.empty((_BLOCK, ROWS, WIDTH), np.float32)
-    deltas = np.zeros((_BLOCK, _DELTAS, WIDTH), np.float32)
-    sums1 = np.zeros((HIDDEN, INPUTS, WIDTH), np.float32)
-    sums2 = np.zeros((HIDDEN, HIDDEN, WIDTH), np.float32)
-    sums3 = np.zeros((4, HIDDEN, WIDTH), np.float32)
-    biases = np.zeros((_DELTAS, WIDTH), np.float32)
-    by_fragment = np.zeros((WIDTH, _PADDED), np.float32)
+    kept = aligned_zeros(_BLOCK * ROWS * WIDTH)
+    deltas = aligned_zeros(_BLOCK * _DELTAS * WIDTH)
+    sums1 = aligned_zeros(HIDDEN * INPUTS * WIDTH)
+    sums2 = aligned_zeros(HIDDEN * HIDDEN * WIDTH)
+    sums3 = aligned_zeros(4 * HIDDEN * WIDTH)
+    biases = aligned_zeros(_DELTAS * WIDTH)
+    by_fragment = aligned_zeros(WIDTH * _PADDED)
     current, g0, g1, g2 = 0, splat8(0.0), splat8(0.0), splat8(0.0)
     for begin in range(0, covered, WIDTH * _BLOCK):
         some = min(_BLOCK, (covered - begin + WIDTH - 1) // WIDTH)
