@@ -1,7 +1,8 @@
 """The study's facts, each in one place: a row per shape, a row per condition. Data and look-ups, no more.
 
-Adding a shape is one row here (and its geometry in `paper_artifact/scene/shapes.py` or `data_scripts/meshes.csv`); adding a condition
-is one row here and a line in `paper_artifact/study/studies.py` for the study that runs it.
+Adding a shape is one row here (and its geometry in `paper_artifact/scene/shapes.py` or
+`data_scripts/meshes.csv`); adding a condition is one row here and a line in `paper_artifact/study/studies.py`
+for the study that runs it.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ class Shape:
     """One ground truth of the study (paper §4, App. B, E–G). Everything was fixed before any training."""
 
     name: str
-    group: str  # where it stands: "analytic", "loop group", "void group" (pre-registered, App. G), "bowls" or "allocation"
-    judged: int  # the judged dimension: whose bottleneck is the tail (Tables 1, 2, S2, S10), a decision of the paper's
+    # where it stands: "analytic", "loop group", "void group" (pre-registered, App. G), "bowls" or
+    # "allocation"
+    group: str
+    # the judged dimension: whose bottleneck is the tail (Tables 1, 2, S2, S10), a decision of the paper's
+    judged: int
     features: tuple[
         int, int, int
     ]  # finite classes (H0, H1, H2) that a dense sample shows; genera are certified
@@ -39,7 +43,8 @@ class Shape:
 
 @dataclass(frozen=True)
 class Condition:
-    """One arm of the study (paper §3.5, §4); the tags keep the paper's numbering. Tables list arms in the order of the rows."""
+    """One arm of the study (paper §3.5, §4); the tags keep the paper's numbering. Tables list arms in the
+    order of the rows."""
 
     name: str
     description: str
@@ -57,8 +62,8 @@ SHAPES: tuple[Shape, ...] = (
     Shape("two_spheres", "analytic", 0, (1, 0, 2), budget=700),
     Shape("double_torus", "analytic", 1, (0, 4, 1), budget=2000, dimensions=(1,)),
     Shape("cylinder", "allocation", 2, (0, 0, 1), dimensions=(2,)),
-    # bob's void is marginal (paper: 1.13 times the floor; ours over 30 sampling seeds .98 to 1.25, median 1.11): the paper's bundle
-    # holds it, seed 0 of our sampler misses it, so seed 1 is taken.
+    # bob's void is marginal (paper: 1.13 times the floor; ours over 30 sampling seeds .98 to 1.25, median
+    # 1.11): the paper's bundle holds it, seed 0 of our sampler misses it, so seed 1 is taken.
     Shape("bob", "loop group", 1, (0, 2, 1), budget=700, bundle_seed=1, view=(0.8, 1.3, 0.8), up=Y_UP),
     Shape(
         "rocker-arm", "loop group", 1, (0, 2, 1), budget=700, dimensions=(1,), view=(1.0, 0.2, 0.6), up=Y_UP
@@ -107,14 +112,16 @@ def shapes_of(*groups: str) -> tuple[str, ...]:
 
 
 def get_condition(name: str) -> Condition:
-    """Return the row of that tag. Raises InputError for an unknown one, C5 among them, and as `check` does."""
+    """Return the row of that tag. Raises InputError for an unknown one, C5 among them, and as `check`
+    does."""
     rows = check(CONDITIONS, "condition")
     if name in rows:
         return rows[name]
     known = ", ".join(rows)
     if name == "C5":
         raise InputError(
-            f"condition C5 is C1 plus the allocation prior, which is not part of this version; choose one of {known}"
+            "condition C5 is C1 plus the allocation prior, which is not part of this version; "
+            f"choose one of {known}"
         )
     raise InputError(f"unknown condition {name!r}; choose one of {known}")
 
@@ -138,10 +145,12 @@ def study_config(
     loss: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> RunConfig:
-    """Return the study's configuration of one run: the shape's row, the condition's definition, dump steps that fit the steps.
+    """Return the study's configuration of one run: the shape's row, the condition's definition, dump steps
+    that fit the steps.
 
-    loss: changes to the condition's LossConfig; changes: to the RunConfig. With other than 2,500 steps the dump steps scale with
-    them. Raises InputError for unknown names, values out of range, or loss settings for a condition that adds no loss.
+    loss: changes to the condition's LossConfig; changes: to the RunConfig. With other than 2,500 steps the
+    dump steps scale with them. Raises InputError for unknown names, values out of range, or loss settings for
+    a condition that adds no loss.
     """
     row, definition = shape_row(shape), get_condition(condition).loss
     if loss and definition is None:
@@ -170,7 +179,8 @@ def study_config(
 
 
 def check(rows: Sequence[Any], word: str) -> dict[str, Any]:
-    """Return {name: row}. Raises InputError, naming the row, for a duplicate name or a dimension that does not exist."""
+    """Return {name: row}. Raises InputError, naming the row, for a duplicate name or a dimension that does
+    not exist."""
     twice = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
     if twice:
         raise InputError(
@@ -180,6 +190,7 @@ def check(rows: Sequence[Any], word: str) -> dict[str, Any]:
         dimensions = (row.judged, *(row.dimensions or ())) if isinstance(row, Shape) else ()
         if not set(dimensions) <= {0, 1, 2}:
             raise InputError(
-                f"the catalogue's {word} {row.name!r} names the dimensions {dimensions}; a surface in space has 0, 1 and 2"
+                f"the catalogue's {word} {row.name!r} names the dimensions {dimensions}; "
+                "a surface in space has 0, 1 and 2"
             )
     return {row.name: row for row in rows}

@@ -1,7 +1,8 @@
 """A run's configuration, typed: every number that can change its result, and nothing else.
 
-`RunConfig` is one run, `LossConfig` what its topology term adds. Paths, thread counts and verbosity are not here: they cannot change
-the bits. A run's name is a hash of what differs from the defaults here (`identity`), so a new field renames no recorded run.
+`RunConfig` is one run, `LossConfig` what its topology term adds. Paths, thread counts and verbosity are not
+here: they cannot change the bits. A run's name is a hash of what differs from the defaults here (`identity`),
+so a new field renames no recorded run.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from paper_artifact.errors import InputError
 
 # Raise this when the default of a field changes (a new field changes none), and note below what it was.
 DEFAULTS_VERSION = 1
-# What defaults were in older versions, {version: {"steps": 2500, "loss.rho": 0.1}}, so that records of those versions keep their names.
+# What defaults were in older versions, {version: {"steps": 2500, "loss.rho": 0.1}}, so that records of those
+# versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
 KINDS = ("topology", "repulsion")
@@ -24,6 +26,7 @@ FLOOR_SOURCES = ("bundle", "live")
 FALLBACKS = ("detach", "drop", "subgradient", "denser")
 METHODS = ("fast", "gudhi")
 STEPS_OF_THE_STUDY = 2500
+DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500)  # of these steps
 
 
 @dataclass(frozen=True)
@@ -33,28 +36,21 @@ class LossConfig:
     Lengths are divided by the ground truth's bounding-box diagonal.
     """
 
-    kind: str = "topology"  # "topology": matched persistence (paper §3.3); "repulsion": the norm-matched control C2 (§3.5)
+    kind: str = "topology"  # "topology": matched persistence (paper §3.3); "repulsion": the control C2 (§3.5)
     rho: float = (
-        0.1  # norm of the weighted topology gradient ÷ photometric gradient, at the first active step (§3.4)
+        0.1  # weighted topology gradient ÷ photometric gradient, norms at the first active step (§3.4)
     )
-    ramp: tuple[float, float] | None = (
-        0.2,
-        0.5,
-    )  # fractions of the run between which λ grows from 0 to its peak; None: no ramp
+    ramp: tuple[float, float] | None = (0.2, 0.5)  # fractions of the run between which λ grows; None: at once
     recruitment: bool = True  # the paper's L_recruit: missing targets claim the nearest unmatched bar
     noise: float = 0.0  # standard deviation of the noise that only the plan sees (C7)
     repulsion_radius: float = 4.0  # reach of the control, in median spacings of the target
     curvature_weighted: bool = False  # weigh each bar by the curvature at its samples (C4; our definition)
     samples: int = 2048  # M: points of the live cloud and of the target bundle
-    dimensions: tuple[int, ...] | None = (
-        None  # where the loss acts; None: every dimension with a significant target bar
-    )
+    dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant target bar
     bundle_seed: int = 0  # of the target bundle's samples
     refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
     floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
-    fallback: str = (
-        "detach"  # what becomes of a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
-    )
+    fallback: str = "detach"  # for a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
     method: str = "fast"  # alpha persistence by our kernels ("fast") or by gudhi (the oracle)
 
     def __post_init__(self) -> None:
@@ -72,7 +68,7 @@ class LossConfig:
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
         if self.dimensions is not None and not (self.dimensions and set(self.dimensions) <= {0, 1, 2}):
             raise InputError(
-                f"dimensions must be some of 0, 1, 2, or None for all that are significant, got {self.dimensions}"
+                f"dimensions must be some of 0, 1, 2, or None for the significant ones, got {self.dimensions}"
             )
 
 
@@ -87,33 +83,18 @@ class RunConfig:
     budget: int = 1200  # N: triangles kept by pruning
     views: int = 48  # rendered around the mesh, every 8th held out
     size: int = 200  # of a view, pixels
-    background: str = "white"
+    background: str = "white"  # or "black"
     batch: int = 4  # views per step
-    vertex_lr: float = 1e-2  # per unit of scene radius (world units)
+    vertex_lr: float = 1e-2  # learning rate of the vertices, per unit of scene radius (world units)
     feature_lr: float = 5e-2  # of the feature logits
     opacity_lr: float = 5e-2  # of the opacity logits
     mlp_lr: float = 1e-2  # of the shading MLP's weights
     final_lr: float = 0.01  # every learning rate decays to this fraction
-    initial_ratio: float = (
-        7.5  # initial triangles ÷ budget; what is beyond the budget is pruned at the first resampling
-    )
+    initial_ratio: float = 7.5  # initial triangles ÷ budget; the first resampling prunes to the budget
     resample_every: int = 100  # steps
     split_views: int = 20  # views in which long edges are split
     split_height: float = 0.2  # an edge longer than this fraction of the image height is split
-    dump_steps: tuple[int, ...] = (
-        100,
-        200,
-        400,
-        700,
-        1000,
-        1300,
-        1600,
-        1900,
-        2100,
-        2300,
-        2400,
-        2500,
-    )  # evaluated, after resampling
+    dump_steps: tuple[int, ...] = DUMP_STEPS  # that are evaluated, after their resampling
     samples: int = 20_000  # surface samples of an evaluation
     loss: LossConfig | None = None  # None: photometric loss only (C0)
 
@@ -132,7 +113,8 @@ class RunConfig:
             _at_least(self, name, least)
         if self.size < 22:
             raise InputError(
-                f"size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), got {self.size}"
+                "size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), "
+                f"got {self.size}"
             )
         for name in (
             "vertex_lr",
@@ -156,7 +138,8 @@ Config = TypeVar("Config", LossConfig, RunConfig)
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
-    """Return `config` with fields replaced. Raises InputError for an unknown name or a value of the wrong kind or out of range."""
+    """Return `config` with fields replaced. Raises InputError for an unknown name or a value of the wrong
+    kind or out of range."""
     kinds = get_type_hints(type(config))
     unknown = sorted(set(changes) - set(kinds))
     if unknown:
@@ -167,7 +150,8 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
 def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     """Return {name: value} of texts NAME=VALUE; a value is a Python literal, a bare list "1,2", or else text.
 
-    option: the command-line option, for the message of the InputError that a text without an equals sign raises.
+    option: the command-line option, for the message of the InputError that a text without an equals sign
+    raises.
     """
     parsed: dict[str, Any] = {}
     for text in texts:
@@ -190,9 +174,11 @@ def config_values(config: LossConfig | RunConfig) -> dict[str, Any]:
 
 
 def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> RunConfig:
-    """Return the RunConfig of a dict, also of one that went through JSON (lists for tuples); inverse of `config_values`.
+    """Return the RunConfig of a dict, also of one that went through JSON (lists for tuples); inverse of
+    `config_values`.
 
-    A field that is not there has the default it had in `version`. Raises InputError for an unknown field or version.
+    A field that is not there has the default it had in `version`. Raises InputError for an unknown field or
+    version.
     """
     given = dict(values)
     loss = given.pop("loss", None)
@@ -203,10 +189,10 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
 
 
 def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
-    """Return what names a run: version, shape, condition, seed and the fields that differ from that version's defaults."""
+    """Return what names a run: version, shape, condition, seed and the fields that differ from that version's
+    defaults."""
     named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
-    base = replace(config_from({"shape": config.shape}, version), condition="", seed=-0)
-    values = {"defaults": version} | _differing(config, base) | named
+    values = {"defaults": version} | _differing(config, config_from({"shape": ""}, version)) | named
     values.pop("loss", None)
     if config.loss is not None:
         values["loss"] = _differing(config.loss, with_changes(LossConfig(), _former(version, "loss.")))
@@ -219,7 +205,8 @@ def _differing(config: Config, base: Config) -> dict[str, Any]:
 
 
 def _former(version: int, prefix: str) -> dict[str, Any]:
-    """Return the defaults of `version` that have changed since, of the fields whose names begin with `prefix`."""
+    """Return the defaults of `version` that have changed since, of the fields whose names begin with
+    `prefix`."""
     if not 1 <= version <= DEFAULTS_VERSION:
         raise InputError(
             f"the defaults' version {version} is unknown to this code, which knows 1 to {DEFAULTS_VERSION}"

@@ -1,4 +1,4 @@
-"""Uniform random points on a triangle surface: the cloud that every alpha complex here is built on."""
+"""Uniform random points on a triangle surface: the cloud under every alpha complex here (paper, Method)."""
 
 from __future__ import annotations
 

@@ -21,12 +21,13 @@ def test_raster_rows(tiny_scene, monkeypatch, tmp_path):
     rows = raster.raster_rows(tmp_path, repetitions=2)
     passes = {row["what"]: row for row in rows if row["ratio"] is not None}
     assert set(passes) == {
-        f"forward + backward, {name}"
-        for name in (raster.FUSED, "numba, torch functions", "twin float32", "twin float64")
+        f"forward + backward, {name}" for name in (raster.TRAINER, "twin float32", "twin float64")
     }
-    assert passes[f"forward + backward, {raster.FUSED}"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
+    assert passes[f"forward + backward, {raster.TRAINER}"]["ratio"] == 1 and all(
+        row["ms"] > 0 for row in rows
+    )
     stages = [row["what"].split("numba: ")[1] for row in rows if row["ratio"] is None]
-    assert len(stages) == 5 and all(stage.endswith("(wall)") for stage in stages)
+    assert len(stages) == 6 and all(stage.endswith("(wall)") for stage in stages)
 
 
 def test_loss_rows(tiny_scene, monkeypatch, tmp_path):
@@ -96,8 +97,13 @@ def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
         "paper_artifact.bench.topology.plan_rows",
         lambda: [{"M": 2048, "pulls": 3000, "refresh_ms": 30.0, "persistence_ms": 20.0, "frozen_ms": 1.5}],
     )
-    assert cli.main(["bench", "raster", "run", "loss", "--steps", "10"]) == 0
+    rows = [{"M": m, "fast_ms": m / 64, "gudhi_ms": m / 8, "ratio": 8.0, "tetrahedra": m} for m in (64, 128)]
+    monkeypatch.setattr("paper_artifact.bench.persistence.persistence_rows", lambda **options: rows)
+    assert cli.main(["bench", "raster", "run", "persistence", "loss", "--steps", "10"]) == 0
     printed = capsys.readouterr().out
+    assert "M =    128   ours      2.0" in printed and "time grows as M^1.00" in printed
+    assert "174 ms at M = 2048, 1920 ms at M = 20000" in printed, "as results/published/text_cost.csv has it"
+    assert "(paper: 46 s beside 33 to 41 s)" in printed
     assert "M =  2048, 3000 pulls: refresh   30.0 (persistence   20.0)   frozen step   1.50" in printed
     assert "2.50     31.2 × the trainer's" in printed and "that" in printed
     assert (

@@ -196,7 +196,7 @@ def test_peers_are_a_default_part_only_where_one_is_installed(absent, monkeypatc
 
 def test_a_stored_table_is_not_replaced_by_one_without_the_peers(absent, tmp_path):
     with pytest.raises(InputError, match="pip install torch-topological"):
-        measured.measure("peers", tmp_path)
+        measured.write("peers", tmp_path)
     assert not list(tmp_path.iterdir())
 
 

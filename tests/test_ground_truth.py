@@ -8,7 +8,7 @@ import trimesh
 
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh
-from paper_artifact.raster.visibility import rasterize_opaque
+from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
 from paper_artifact.scene.shapes import make_shape
@@ -26,7 +26,9 @@ def coarse_shape(name: str) -> Mesh:
 
 
 def cast(mesh: Mesh, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest hit of the ray through every pixel centre: world positions (H,W,3), NaN where missed, and depths (H,W)."""
+    """Nearest hit of the ray through every pixel centre: world positions (H,W,3), NaN where missed, and
+    depths (H,W).
+    """
     column, row = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     rays = (
         np.stack(

@@ -1,4 +1,4 @@
-"""Meshes: exact welding, polygons, scene files, and every input that must be refused with a clear sentence."""
+"""Meshes: exact welding, polygons, scene files, and every input that must be refused in a clear sentence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import checked_mesh, face_areas, load_mesh, weld
+from paper_artifact.mesh import checked_mesh, load_mesh, weld
+from paper_artifact.sampling import face_areas
 
 
 def open_edges(faces: np.ndarray) -> int:
@@ -85,7 +86,8 @@ def test_face_areas_against_trimesh():
 
 
 PLY = (
-    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "ply\nformat ascii 1.0\nelement vertex 3\n"
+    "property float x\nproperty float y\nproperty float z\nelement face 1\n"
     "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n"
 )
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"

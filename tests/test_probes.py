@@ -69,6 +69,6 @@ def test_tables_and_picture():
     measured = report.measure((0,), 6000)
     table = report.reading_table(measured)
     assert list(table.index) == [(name, 0) for name in probes.CASES]
-    beside = report.beside_paper(table)
-    assert beside.loc["paper's Chamfer %"].tolist() == [0.916, 0.628, 0.977]
+    beside = report.table_s1(table)
+    assert beside.loc["paper's Chamfer %"].tolist() == ["0.916", "0.628", "0.977"]
     assert len(report.picture(measured, 0).axes) == 12

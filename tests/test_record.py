@@ -179,18 +179,9 @@ def test_half_foreign_misnamed_and_missing_files_are_refused(tmp_path):
 
 
 def test_make_record_refuses_what_it_cannot_hold():
-    with pytest.raises(InputError, match="status"):
-        example(status="fine")
     with pytest.raises(InputError, match="cannot hold a set"):
         example(topology={1, 2})
     with pytest.raises(InputError, match="different lengths"):
         make_record(CONFIG, [], {}, {}, losses={"step": [1, 2], "total": [1.0]})
     with pytest.raises(InputError, match="must not start"):
         example(topology={"#same": 1})
-
-
-def test_failed_run_keeps_its_reason(tmp_path):
-    record = make_record(
-        CONFIG, [], {}, {"train": 1.0}, status="failed", error="the loss became NaN at step 12"
-    )
-    assert read_record(write_record(record, tmp_path))["error"].endswith("step 12")

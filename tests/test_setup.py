@@ -1,4 +1,5 @@
-"""The set-up: one place with versions, and a bootstrap that is fast the second time and gives hints, not traces."""
+"""The set-up: one place with versions, and a bootstrap that is fast the second time and gives hints, not
+traces."""
 
 from __future__ import annotations
 
@@ -15,14 +16,17 @@ import yaml
 import paper_artifact
 from paper_artifact.files import REPOSITORY
 
-# Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes how it was called.
+# Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes how it was
+# called.
 STUB = r"""#!/bin/bash
 echo "$*" >> "$STUB_LOG"
 case "$*" in
     "-c "*) exit "${STUB_OTHER_VERSION:-0}" ;;
     "-m venv "*) [ -z "$STUB_NO_VENV" ] || { echo "Traceback: ensurepip is not available"; exit 1; }
                  mkdir -p "$3/bin" && cp "$STUB_SOURCE" "$3/bin/python" ;;
-    "-m pip install -r "*) [ -z "$STUB_NO_NETWORK" ] || { echo "Traceback"; echo "ERROR: No matching distribution"; exit 1; } ;;
+    "-m pip install -r "*) [ -z "$STUB_NO_NETWORK" ] || { echo Traceback
+                           echo "ERROR: No matching distribution"; exit 1; } ;;
+    "-m ruff"*|"-m mypy"*) exit "${STUB_LINT:-0}" ;;
     "-m pytest"*) exit "${STUB_PYTEST:-0}" ;;
 esac
 """
@@ -50,10 +54,11 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
             f"run bash test.sh: environment.yml pins {name}=={version}"
         )
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-    named = {*project["dependencies"], *project["optional-dependencies"]["cluster"]}
-    assert named == set(pins()) - {"setuptools"}, (
-        "pyproject.toml names what environment.yml pins, dask in the extra"
-    )
+    extras = project["optional-dependencies"]
+    assert set(extras) == {"study", "dev", "cluster"}
+    named = [*project["dependencies"], *(name for names in extras.values() for name in names)]
+    assert len(named) == len(set(named)), "each package is named once"
+    assert set(named) == set(pins()) - {"setuptools"}, "pyproject.toml names what environment.yml pins"
     assert all(name.replace("-", "_").isidentifier() for name in named), "names only, no versions"
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["version"] == paper_artifact.__version__
@@ -65,7 +70,7 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
 
 
 class Setup:
-    """test.sh in a copy of the repository's top, with a PATH that holds the stubs and the basic tools alone."""
+    """test.sh in a copy of the repository's top, with a PATH of stubs and basic tools alone."""
 
     def __init__(self, folder: Path):
         self.root, self.bin, self.log = folder / "a checkout", folder / "bin", folder / "calls.log"
@@ -145,14 +150,19 @@ def test_first_run_installs_the_pins_and_the_second_does_not(setup):
     assert not [call for call in setup.calls() if call.startswith("-m venv")], "into the same environment"
 
 
-def test_runs_pytest_and_nbval_and_passes_a_failure_on(setup):
+def test_runs_all_checks_and_passes_a_failure_on(setup):
+    checks = [
+        "-m ruff check .",
+        "-m mypy",
+        "-m pytest tests",
+        "-m pytest --nbval --nbval-current-env notebooks",
+    ]
     setup.add("python3.11")
     assert setup.run(script=".ci/run").returncode == 0
-    assert setup.calls()[-2:] == ["-m pytest tests", "-m pytest --nbval --nbval-current-env notebooks"]
-    assert setup.run(script=".ci/run", STUB_PYTEST="5").returncode == 5
-    assert len([call for call in setup.calls() if "pytest" in call]) == 2, (
-        "the notebooks are checked all the same"
-    )
+    assert setup.calls()[-4:] == checks
+    for variable in ("STUB_LINT", "STUB_PYTEST"):
+        assert setup.run(script=".ci/run", **{variable: "5"}).returncode == 5
+        assert setup.calls()[-4:] == checks, "what follows a failing check is run all the same"
 
 
 @pytest.mark.parametrize(
@@ -182,8 +192,9 @@ def test_uv_brings_python_where_the_host_has_none(setup):
     setup.add("python3", "#!/bin/bash\nexit 1\n")  # a Python of another version
     result = setup.run("-k", "x")
     assert result.returncode == 0, result.stderr
-    assert ["uv python install --quiet 3.11", "uv python find --managed-python 3.11"] == [
-        call for call in setup.calls() if call.startswith("uv")
+    assert [call for call in setup.calls() if call.startswith("uv")] == [
+        "uv python install --quiet 3.11",
+        "uv python find --managed-python 3.11",
     ]
     assert (setup.root / ".venv" / "bin" / "python").exists()
     shutil.rmtree(setup.root / ".venv")

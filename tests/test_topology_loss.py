@@ -376,7 +376,8 @@ def mean_variation(cloud: np.ndarray) -> float:
 
 @pytest.mark.parametrize("settings", [{}, {"curvature_weighted": True}])
 def test_a_plan_of_many_pulls_is_the_sum_over_its_bars(settings):
-    """Value and gradient against one bar after the other, by torch's own autograd: none lost or doubled."""
+    """Value and gradient against one bar after the other, by torch's own autograd; nothing is lost or
+    doubled."""
     target, live = np.random.default_rng(0).random((2, 700, 3))
     bundle = build_bundle(target, 3**0.5, k=0.05)
     loss = TopologyLoss(bundle, **settings)

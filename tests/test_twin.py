@@ -1,7 +1,8 @@
-"""The torch twin against outside references: ray casting, scipy, finite differences, closed forms, plain loops."""
+"""The torch twin against ray casting, scipy, finite differences, closed forms and plain loops."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 import scipy.special
@@ -10,7 +11,7 @@ import torch
 import trimesh
 
 from paper_artifact.errors import InputError
-from paper_artifact.raster import draws, twin
+from paper_artifact.raster import draws, lanes, twin
 from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
 
 KEYS = [draws.view_key(3, 5, view) for view in range(3)]
@@ -24,13 +25,30 @@ def random(seed: int, *shape: int) -> torch.Tensor:
     return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
+def reference_draw(key: int, pixel: int, triangle: int) -> float:
+    """Return the draw by Python's integers: Wellons' lowbias32 of the counters, its upper 24 bits."""
+    x = (key + pixel * 0x9E3779B1 + triangle * 0x85EBCA77) % 2**32
+    x = (x ^ x >> 16) * 0x7FEB352D % 2**32
+    x = (x ^ x >> 15) * 0x846CA68B % 2**32
+    return ((x ^ x >> 16) >> 8) / 2**24
+
+
+@numba.njit
+def sixteen_draws(key, pixel, triangle, out):
+    lanes.store(out, 0, draws.draw_lanes(key, lanes.iota() + pixel, triangle))
+
+
 def test_numba_and_torch_draw_the_same_bits_and_they_are_uniform():
     rng = np.random.default_rng(0)
     pixel, triangle = rng.integers(0, 65536, 4000), rng.integers(0, 6000, 4000)
     key = draws.view_key(7, 2500, 71)
     ours = draws.draw_torch(key, torch.from_numpy(pixel), torch.from_numpy(triangle)).numpy()
-    kernel = [draws.draw(np.uint32(key), np.uint32(p), np.uint32(t)) for p, t in zip(pixel, triangle)]
-    assert np.array_equal(ours, np.array(kernel, dtype=np.float64))
+    expected = np.array([reference_draw(key, int(p), int(t)) for p, t in zip(pixel, triangle, strict=True)])
+    assert np.array_equal(ours, expected)
+    kernel = np.empty(16, np.float32)
+    for start, index in zip(pixel[:200], triangle[:200], strict=True):
+        sixteen_draws(np.uint32(key), start, index, kernel)
+        assert kernel.tolist() == [reference_draw(key, int(start) + k, int(index)) for k in range(16)]
     neighbours = draws.draw_torch(key, torch.arange(20000), torch.full((20000,), 12)).numpy()
     for sample in (ours, neighbours):
         assert scipy.stats.kstest(sample, "uniform").pvalue > 1e-3
@@ -85,13 +103,14 @@ def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent()
                 raster.fragment_b1,
                 raster.fragment_alpha,
             )
-        )
+        ),
+        strict=True,
     ):
         corner = case["opacity"][triangle]
         assert alpha == pytest.approx(
             float(b0 * corner[0] + b1 * corner[1] + (1 - b0 - b1) * corner[2]), abs=1e-12
         )
-        if alpha >= float(draws.draw(np.uint32(KEYS[view]), np.uint32(pixel), np.uint32(triangle))):
+        if alpha >= reference_draw(KEYS[view], pixel, triangle):
             survived += 1
             best[view, pixel] = min(best.get((view, pixel), (2.0, 0)), (depth, triangle + 1))
     assert 0.3 < survived / len(raster.fragment_view) < 0.7
@@ -178,7 +197,7 @@ def test_photometric_loss_agrees_with_a_plain_double_loop():
     gauss = np.exp(-((np.arange(11) - 5.0) ** 2) / 4.5)
     window = np.outer(gauss, gauss) / gauss.sum() ** 2
     values = []
-    for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13)):
+    for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13), strict=True):
         for row in range(4):
             for column in range(3):
                 a, b = (
@@ -255,7 +274,8 @@ def test_half_plane_moves_the_loss_by_colour_difference_times_edge_length_times_
     difference = float((weights[0, :, 0, 0] * (PALETTE[1] - PALETTE[0])).sum())
     assert float(gradient[0, :, 0].sum()) == pytest.approx(difference * size * pixels_per_unit, rel=1e-9)
     assert float(gradient[0, :, 1].abs().sum()) == pytest.approx(0, abs=1e-9)
-    # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 / distance per unit.
+    # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 /
+    # distance per unit.
     assert float(gradient[0, :, 2].sum()) == pytest.approx(
         -difference * size * pixels_per_unit * 0.313 / distance, rel=1e-9
     )
@@ -283,7 +303,7 @@ def project(points: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
 
 
 def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> torch.Tensor:
-    """Return the outline (k,2) in NDC of where triangle 0 of the scene is seen, as a function of the NDC corners (2,3,3)."""
+    """Return the outline (k,2) in NDC of where triangle 0 is seen, from the NDC corners (2,3,3)."""
     if edge == "border":
         return ndc[0, :, :2]
     if edge == "opacity":  # the line alpha = .5 cuts the sides 01 and 02
@@ -301,10 +321,10 @@ def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> t
 
 @pytest.mark.parametrize("edge", list(SCENES))
 def test_vertex_gradients_agree_with_the_derivative_of_the_exact_integral(edge):
-    """L = Σ linear weights · constant colours; the picture without pixels is a polygon whose integral is a closed form.
+    """L = Σ linear weights · constant colours; without pixels it is a polygon's integral, a closed form.
 
-    At a crossing line that is slanted in the image DiffSoup pushes z once for the row neighbours and once for the column
-    neighbours, so z counts about twice there: only x and y are compared on that line.
+    At a crossing line that is slanted in the image DiffSoup pushes z once for the row neighbours and once for
+    the column neighbours, so z counts about twice there: only x and y are compared on that line.
     """
     size, matrix = 256, front_camera(focal=2.6)[0]
     vertices = torch.tensor(SCENES[edge], dtype=torch.float64)

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
 from paper_artifact.errors import InputError
-from paper_artifact.report.published import published
-from paper_artifact.study.tables import arm_table, arm_text, published_rows, verdict_table
+from paper_artifact.report.kit.frames import paper_verdicts
+from paper_artifact.report.kit.text import arm_text
 from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
 from tests.report_records import study_record
 
-# Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
+# Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied).
 PER_SEED = {
     "spot": ("pass", (0.0429, 0.0584, 0.0550), (0.0237,) * 3, (0.0652,) * 3),
     "bob": ("pass", (0.0429, 0.0413, 0.0437), (0.0200, 0.0207, 0.0216), (0.0437,) * 3),
@@ -153,13 +152,12 @@ def test_bad_rows_are_refused():
 
 def test_rows_of_records():
     record = {
-        "status": "done",
         "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
         "tails": {"bottleneck": [0.001, 0.2, 0.3], "counts": [1, 0, 2], "chamfer": 0.005},
         "mesh": {"dimension": 0, "betti": [2, 0, 2]},
         "bundle": {"bars": [[[0, 0.1]], [], []]},
     }
-    assert rows_of([record, record | {"status": "failed"}, record | {"tails": {}}]) == [
+    assert rows_of([record, record | {"tails": {}}]) == [
         {
             "shape": "two_spheres",
             "condition": "C1",
@@ -176,35 +174,16 @@ def test_rows_of_records():
 
 def test_transcribed_tables_give_the_same_verdicts():
     """The committed transcription of the paper's per-seed tables, through the same rule."""
-    judged = verdict(published_rows(pd.concat([published("S7"), published("S10")])))
+    judged = paper_verdicts("S7", "S10")
     expected = {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
     assert {shape: each.outcome for shape, each in judged.items()} == expected
     for shape, each in judged.items():
         assert each.arms["C1"].tails == PER_SEED[shape][2] and each.arms["C2"].tails == PER_SEED[shape][3]
 
 
-def test_tables_put_ours_beside_the_published():
-    ours = rows(
-        "cube", {"C0": 0.01, "C1": 0.009, "C2": 0.02}, C0=(0.05, 0.06), C1=(0.01, 0.012), C2=(0.13, 0.13)
-    )
-    both = pd.concat([published("1"), published("S7")])
-    table = arm_table(pd.DataFrame(ours), both).set_index("condition")
-    assert table.loc["C1", "mean"] == pytest.approx(0.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
-    assert (table.loc["C1", "published mean"], table.loc["C1", "published sd"]) == (0.0074, 0.0011)
-    assert table.loc["C1", "published ratio"] == pytest.approx(7.9, abs=0.06)
-    layout = verdict_table(ours, both)
-    assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
-    assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
-    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346±.0000 (0.43×)"
-    assert arm_table(ours, published("S7")).set_index("condition").loc[
-        "C1", "published mean"
-    ] == pytest.approx(0.00737, abs=1e-5)
-    layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
-    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""
-
-
 def test_every_arm_of_a_shape_is_counted_against_the_same_number():
-    """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has no bundle."""
+    """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has
+    no bundle."""
     bob = [
         study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")
     ]  # no Betti numbers; two bars in its bundle

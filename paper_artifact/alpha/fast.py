@@ -1,8 +1,8 @@
 """The fast alpha persistence: triangulation, filtration and reduction, one after the other.
 
-The compiled code is cached beside the modules (numba, __pycache__), about 20 s of CPU the first time. numba looks
-for changes in the module of each function only: after an edit of expansions, predicates or ordering, remove the
-cache.
+The compiled code is cached beside the modules (numba, __pycache__), about 20 s of CPU the first time. numba
+looks for changes in the module of each function only: after an edit of expansions, predicates or ordering,
+remove the cache.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _filtered(made: _Cells) -> _Filtration:
 
 
 def _reduced(made: _Filtration, vertex_count: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Return (births, deaths) of dimensions 0, 1, 2: vertices, edges, triangles, cells; no empty bars in 1, 2."""
+    """Return (births, deaths) of dimensions 0, 1, 2 as simplices' numbers; no empty bars in 1 and 2."""
     state, parents = reduction.apparent_voids(
         made.cell_values, made.triangle_values, made.of_cell, made.sides
     )

@@ -48,12 +48,12 @@ def alpha_persistence(
     """Return the finite bars of positive length of the alpha filtration of `points`, dimensions 0, 1, 2.
 
     points: (n, 3) array, n >= 0, converted to float64; any unit. Births and deaths are radii in the same
-    unit. method: "fast" or "gudhi". progress: called with the name of each of STAGES as it begins. A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as
-    empty and is left out. The one connected component that never dies is left out as well; no other class is
-    infinite. Exact duplicates of a point are one point of the filtration; a simplex names one of them. Small
-    and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars, 2 points or
-    collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds that span no
-    tetrahedron to gudhi.)
+    unit. method: "fast" or "gudhi". progress: called with the name of each of STAGES as it begins. A bar
+    shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected
+    component that never dies is left out as well; no other class is infinite. Exact duplicates of a point are
+    one point of the filtration; a simplex names one of them. Small and flat clouds have the well-defined
+    answer of their dimension: n = 0 and 1 no bars, 2 points or collinear ones H0 only, 3 points or coplanar
+    ones H0 and H1 only. (`fast` hands clouds that span no tetrahedron to gudhi.)
 
     Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
     """
@@ -98,9 +98,9 @@ def fast_persistence(
     rows = squared_pairs(points, stages.begin)
     if rows is None:
         return gudhi_persistence(points, clock, progress=progress)
-    h0, h1, h2 = (make_pairs(*each) for each in rows)
+    components, loops, voids = (make_pairs(*each) for each in rows)
     stages.end(clock)
-    return h0, h1, h2
+    return components, loops, voids
 
 
 def gudhi_persistence(
@@ -130,9 +130,9 @@ def gudhi_persistence(
         for birth, death in tree.persistence_pairs():
             if death and len(birth) <= 3:
                 rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
-    h0, h1, h2 = (_from_rows(rows[dimension], dimension) for dimension in range(3))
+    components, loops, voids = (_from_rows(rows[dimension], dimension) for dimension in range(3))
     stages.end(clock)
-    return h0, h1, h2
+    return components, loops, voids
 
 
 class _Stages:

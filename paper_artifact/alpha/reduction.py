@@ -225,8 +225,8 @@ def loops(
 
     order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a
     void are left out. Rows are the edges that merge no components (the others never become a pivot). A column
-    is reduced in a bit tree over the rows; a reduced column is kept as a list of rows, except for the triangles
-    of `apparent`, which are reduced as they are.
+    is reduced in a bit tree over the rows; a reduced column is kept as a list of rows, except for the
+    triangles of `apparent`, which are reduced as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
     edge_at = np.empty(len(edge_order), dtype=np.int32)

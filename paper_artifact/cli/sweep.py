@@ -7,11 +7,12 @@ from pathlib import Path
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
+from paper_artifact.study.studies import STUDIES, study_configs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("study", help="baseline, table1, table2 or bowls (paper_artifact/study/studies.py)")
+    parser.add_argument("study", help=f"{', '.join(STUDIES)} (paper_artifact/study/studies.py)")
     parser.add_argument("--shape", action="append", help="only this shape (may be given several times)")
     parser.add_argument(
         "--condition", action="append", help="only this condition (may be given several times)"
@@ -37,17 +38,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed; InputError goes to the caller."""
+    """Run the sweep and report failures at the end.
+
+    Returns 0, or 1 when a run failed; InputError goes to the caller.
+    """
     from tqdm import tqdm
 
-    from paper_artifact.study.studies import study_configs
-    from paper_artifact.study.sweep import complete, missing, sweep
+    from paper_artifact.study.sweep import missing, sweep
 
     if (arguments.executor == "dask") != bool(arguments.scheduler):
         raise InputError("--executor dask and --scheduler ADDRESS belong together; give both or neither")
     configs = study_configs(arguments.study, arguments.shape, arguments.condition, arguments.seed)
     if arguments.list:
-        todo = missing(complete(configs), arguments.results)
+        todo = missing(configs, arguments.results)
         for config in todo:
             print(f"missing: {config.shape} {config.condition} seed {config.seed}")
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
@@ -72,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
     before = len(configs) - len(outcomes)
     print(f"{len(outcomes) - len(failures)} runs done, {before} were recorded before, {len(failures)} failed")
     for outcome in failures:
-        print(
-            f"  {outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}: {outcome.failure}"
-        )
+        config = outcome.config
+        print(f"  {config.shape} {config.condition} seed {config.seed}: {outcome.failure}")
     return 1 if failures else 0

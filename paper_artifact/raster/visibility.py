@@ -1,60 +1,138 @@
-"""Forward raster on the CPU: triangle set-up, fragments, stochastic opacity masking, depth test.
+"""Forward raster on the CPU: triangle set-up, stochastic opacity masking, depth test, the list of what is
+visible.
 
 Frames. Clip space: (x, y, z, w) with w > 0 in front of the camera. NDC: xyz / w in [-1, 1], x right, y down.
-Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height - 1).
+Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height
+- 1).
 
-Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of its
-bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth. Perspective-correct
-barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano & Greer, "Triangle scan conversion using 2D
-homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo et al. 2026).
+Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of
+its bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth.
+Perspective-correct barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano &
+Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo
+et al. 2026).
 
-Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of threads.
+A triangle's pixels are visited along the rows of its bounding box, sixteen at a time. Fragments are not kept:
+whoever needs them (the list of the visible ones, the opacity gradient) visits the triangles again, which
+costs less than writing them down.
+
+Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of
+threads.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from paper_artifact.raster.draws import draw
+from paper_artifact.raster.draws import draw_lanes
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    bits,
+    compress,
+    first,
+    inlined,
+    iota,
+    load,
+    popcount,
+    select,
+    splat,
+    splat_int,
+    store,
+    to_float,
+)
 
 _BUCKETS = 512
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order):
-    """Fill per-triangle coefficients and rectangles; return how many triangles can cover a pixel.
+class Planes(NamedTuple):
+    """What the set-up knows of each triangle; arrays may be longer than the soup."""
 
-    clip (V,4) float32, faces (T,3) int32 → coefficients (T,12) float32, rectangles (T,4) int32 (first row, last row,
-    first column, last column, inclusive; first row -1 where the triangle is skipped), order (T,) int32: the
-    kept triangles, nearest first (bucketed by their nearest NDC depth).
-    A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the image.
+    coefficients: np.ndarray  # (T,12) float32: see above, 3 × mu (constant, per column, per row), then depth
+    rectangles: (
+        np.ndarray
+    )  # (T,4) int32 pixels: first row, last row, first column, last column; first row -1: skipped
+    order: (
+        np.ndarray
+    )  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth); see `draw`
+
+    @staticmethod
+    def room(triangles: int) -> Planes:
+        """Return uninitialised arrays for `triangles` triangles."""
+        return Planes(
+            np.empty((triangles, 12), np.float32),
+            np.empty((triangles, 4), np.int32),
+            np.empty(triangles, np.int32),
+        )
+
+
+class Surface(NamedTuple):
+    """What is visible at each pixel (row-major index); arrays are one vector longer than the image."""
+
+    depth: np.ndarray  # (H·W + 16,) float32 NDC, +inf where nothing is visible
+    triangle: np.ndarray  # (H·W + 16,) int32: the visible triangle, -1 where there is none
+
+    @staticmethod
+    def room(size: int) -> Surface:
+        """Return uninitialised arrays for `size` pixels."""
+        return Surface(np.empty(size + WIDTH, np.float32), np.empty(size + WIDTH, np.int32))
+
+
+class Shown(NamedTuple):
+    """The visible fragments in the order of drawing: a triangle's stand together, its pixels ascend.
+
+    Arrays are longer than the list; the sixteen places after it hold zeros.
     """
-    count = faces.shape[0]
+
+    pixel: np.ndarray  # int32
+    triangle: np.ndarray  # int32
+    b0: np.ndarray  # float32 barycentrics of corners 0 and 1
+    b1: np.ndarray
+
+    @staticmethod
+    def room(size: int) -> Shown:
+        """Return uninitialised arrays for `size` pixels."""
+        room = size + 2 * WIDTH
+        return Shown(
+            np.empty(room, np.int32),
+            np.empty(room, np.int32),
+            np.empty(room, np.float32),
+            np.empty(room, np.float32),
+        )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def set_up_triangles(clip, height, width, planes):
+    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a
+    pixel.
+
+    A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the
+    image.
+    """
+    coefficients, rectangles, order = planes.coefficients, planes.rectangles, planes.order
+    count = clip.shape[0]
     nearest = np.empty(count, np.float32)
     low, high = np.float32(1.0), np.float32(-1.0)
     kept = 0
     for t in range(count):
         rectangles[t, 0] = -1
-        i0, i1, i2 = faces[t, 0], faces[t, 1], faces[t, 2]
-        w0, w1, w2 = float(clip[i0, 3]), float(clip[i1, 3]), float(clip[i2, 3])
+        w0, w1, w2 = float(clip[t, 0, 3]), float(clip[t, 1, 3]), float(clip[t, 2, 3])
         if not (w0 > 0.0 and w1 > 0.0 and w2 > 0.0):
             continue
         outside = False
         for axis in range(3):
-            a0, a1, a2 = float(clip[i0, axis]), float(clip[i1, axis]), float(clip[i2, axis])
+            a0, a1, a2 = float(clip[t, 0, axis]), float(clip[t, 1, axis]), float(clip[t, 2, axis])
             if (a0 > w0 and a1 > w1 and a2 > w2) or (a0 < -w0 and a1 < -w1 and a2 < -w2):
                 outside = True
         if outside:
             continue
-        x0 = 0.5 * width * (clip[i0, 0] / w0 + 1.0) - 0.5
-        x1 = 0.5 * width * (clip[i1, 0] / w1 + 1.0) - 0.5
-        x2 = 0.5 * width * (clip[i2, 0] / w2 + 1.0) - 0.5
-        y0 = 0.5 * height * (clip[i0, 1] / w0 + 1.0) - 0.5
-        y1 = 0.5 * height * (clip[i1, 1] / w1 + 1.0) - 0.5
-        y2 = 0.5 * height * (clip[i2, 1] / w2 + 1.0) - 0.5
+        x0 = 0.5 * width * (clip[t, 0, 0] / w0 + 1.0) - 0.5
+        x1 = 0.5 * width * (clip[t, 1, 0] / w1 + 1.0) - 0.5
+        x2 = 0.5 * width * (clip[t, 2, 0] / w2 + 1.0) - 0.5
+        y0 = 0.5 * height * (clip[t, 0, 1] / w0 + 1.0) - 0.5
+        y1 = 0.5 * height * (clip[t, 1, 1] / w1 + 1.0) - 0.5
+        y2 = 0.5 * height * (clip[t, 2, 1] / w2 + 1.0) - 0.5
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if not abs(area) > 0.0:
             continue
@@ -74,7 +152,7 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
         a0, b0, c0 = (x1 * y2 - x2 * y1) * inverse, (y1 - y2) * inverse, (x2 - x1) * inverse
         a1, b1, c1 = (x2 * y0 - x0 * y2) * inverse, (y2 - y0) * inverse, (x0 - x2) * inverse
         a2, b2, c2 = (x0 * y1 - x1 * y0) * inverse, (y0 - y1) * inverse, (x1 - x0) * inverse
-        z0, z1, z2 = clip[i0, 2] / w0, clip[i1, 2] / w1, clip[i2, 2] / w2
+        z0, z1, z2 = clip[t, 0, 2] / w0, clip[t, 1, 2] / w1, clip[t, 2, 2] / w2
         coefficients[t, 0], coefficients[t, 1], coefficients[t, 2] = a0 / w0, b0 / w0, c0 / w0
         coefficients[t, 3], coefficients[t, 4], coefficients[t, 5] = a1 / w1, b1 / w1, c1 / w1
         coefficients[t, 6], coefficients[t, 7], coefficients[t, 8] = a2 / w2, b2 / w2, c2 / w2
@@ -101,197 +179,105 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
     return kept
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def raster_fragments(
-    order,
-    kept,
-    coefficients,
-    rectangles,
-    opacity,
-    width,
-    key,
-    stochastic,
-    depth,
-    visible,
-    fragment_index,
-    fragment_value,
-):
-    """Draw fragments front to back; return how many there were (more than the buffers hold: call again with larger ones).
+@inlined
+def line(coefficients, t, y):
+    """Return the eight numbers of triangle t on the row y below its first one: mu_0, mu_1, mu_2, depth at
+    column 0, and per column."""
+    a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
+    a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
+    a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
+    az, bz, cz = coefficients[t, 9], coefficients[t, 10], coefficients[t, 11]
+    return a0 + c0 * y, a1 + c1 * y, a2 + c2 * y, az + cz * y, b0, b1, b2, bz
 
-    opacity (T,3) float32 in [0,1]. depth (H·W,) float32 must come in as +inf, visible (H·W,) int32 as -1; they go out as the
-    nearest surviving fragment's NDC depth and fragment number. Recorded are the fragments not behind the survivors seen
-    so far: fragment_index (capacity,2) int32 = pixel, triangle; fragment_value (capacity,4) float32 = b0, b1, NDC depth, alpha.
-    A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when stochastic, else .5.
+
+@inlined
+def along(of_line, x):
+    """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first
+    column on)."""
+    e0, e1, e2, ez, b0, b1, b2, bz = of_line
+    return e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
+
+
+@inlined
+def inside(values):
+    """Return the mask of values (see `along`) inside the triangle and the depth range."""
+    m0, m1, m2, z = values
+    return (m0 >= 0.0) & (m1 >= 0.0) & (m2 >= 0.0) & (z >= -1.0) & (z <= 1.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def draw(planes, kept, opacity, width, key, stochastic, surface):
+    """Draw the first `kept` triangles of planes.order front to back into surface; return how many of them met
+    no nearer survivor.
+
+    Those come first in planes.order afterwards, in the same order. opacity (T,3) float32 in [0,1]; width in
+    pixels. A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when
+    stochastic, else .5; the nearest survivor is visible.
     """
-    capacity = fragment_index.shape[0]
-    number = 0
+    order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
+    depth, triangle = surface.depth, surface.triangle
+    depth[:] = np.float32(np.inf)
+    triangle[:] = -1
+    met = 0
     for k in range(kept):
         t = order[k]
-        row0, row1, column0, column1 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2], rectangles[t, 3]
-        a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
-        a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
-        a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
-        az, bz, cz = coefficients[t, 9], coefficients[t, 10], coefficients[t, 11]
+        row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
+        columns = rectangles[t, 3] - column0 + 1
         o0, o1, o2 = opacity[t, 0], opacity[t, 1], opacity[t, 2]
-        span = column1 - column0
+        meets = False
         for row in range(row0, row1 + 1):
-            y = np.float32(row - row0)
-            e0, e1, e2, ez = a0 + c0 * y, a1 + c1 * y, a2 + c2 * y, az + cz * y
-            # Columns where all three edge functions can be >= 0; one pixel of slack, the test below decides.
-            first, last = np.float32(0.0), np.float32(span)
-            if b0 > 0:
-                first = max(first, -e0 / b0)
-            elif b0 < 0:
-                last = min(last, -e0 / b0)
-            elif e0 < 0:
-                continue
-            if b1 > 0:
-                first = max(first, -e1 / b1)
-            elif b1 < 0:
-                last = min(last, -e1 / b1)
-            elif e1 < 0:
-                continue
-            if b2 > 0:
-                first = max(first, -e2 / b2)
-            elif b2 < 0:
-                last = min(last, -e2 / b2)
-            elif e2 < 0:
-                continue
-            if not last >= first - np.float32(1.0):
-                continue
-            for column in range(max(0, int(first)), min(span, int(last) + 1) + 1):
-                x = np.float32(column)
-                m0, m1, m2 = e0 + b0 * x, e1 + b1 * x, e2 + b2 * x
-                if m0 < 0 or m1 < 0 or m2 < 0:
-                    continue
-                z = ez + bz * x
+            of_line = line(coefficients, t, np.float32(row - row0))
+            for column in range(0, columns, WIDTH):
+                m0, m1, m2, z = values = along(of_line, to_float(iota() + column))
                 pixel = row * width + column0 + column
-                if not (z < depth[pixel] and z >= -1 and z <= 1):
+                nearest = load(depth, pixel)
+                in_front = inside(values) & first(columns - column) & (z < nearest)
+                if bits(in_front) == 0:
                     continue
-                inverse = np.float32(1.0) / (m0 + m1 + m2)
+                meets = True
+                inverse = 1.0 / (m0 + m1 + m2)
                 w0, w1 = m0 * inverse, m1 * inverse
-                alpha = w0 * o0 + w1 * o1 + (np.float32(1.0) - w0 - w1) * o2
-                if number < capacity:
-                    fragment_index[number, 0], fragment_index[number, 1] = pixel, t
-                    fragment_value[number, 0], fragment_value[number, 1] = w0, w1
-                    fragment_value[number, 2], fragment_value[number, 3] = z, alpha
-                threshold = np.float32(0.5)
+                alpha = w0 * o0 + w1 * o1 + (1.0 - w0 - w1) * o2
+                threshold = splat(0.5)
                 if stochastic:
-                    threshold = draw(key, np.uint32(pixel), np.uint32(t))
-                if alpha >= threshold:
-                    depth[pixel] = z
-                    visible[pixel] = number
-                number += 1
-    return number
+                    threshold = draw_lanes(key, iota() + pixel, t)
+                survives = in_front & (alpha >= threshold)
+                store(depth, pixel, select(survives, z, nearest))
+                store(triangle, pixel, select(survives, t, load(triangle, pixel)))
+        if meets:
+            order[met] = t
+            met += 1
+    return met
 
 
-@numba.njit(cache=True, nogil=True)
-def resolve_visibility(visible, fragment_index, triangle, pixels):
-    """Write triangle (H·W,) int32 (index, -1 where nothing is visible) and the covered pixels; return their number."""
-    covered = 0
-    for pixel in range(visible.shape[0]):
-        fragment = visible[pixel]
-        triangle[pixel] = -1
-        if fragment >= 0:
-            triangle[pixel] = fragment_index[fragment, 1]
-            pixels[covered] = pixel
-            covered += 1
-    return covered
-
-
-def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return clip-space points (V,4) float32 of corners (V,3) float32 under matrix (4,4) float32.
-
-    Summed in a fixed order: a BLAS product may choose another one on another machine.
-    """
-    clip = np.empty((len(corners), 4), np.float32)
-    for row in range(4):
-        clip[:, row] = (
-            corners[:, 0] * matrix[row, 0]
-            + corners[:, 1] * matrix[row, 1]
-            + corners[:, 2] * matrix[row, 2]
-            + matrix[row, 3]
-        )
-    return clip
-
-
-@dataclass
-class ViewRaster:
-    """One view's raster and its reusable buffers (see the kernels for each array's meaning)."""
-
-    height: int
-    width: int
-    coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 12), np.float32))
-    rectangles: np.ndarray = field(default_factory=lambda: np.empty((0, 4), np.int32))
-    order: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
-    fragments: int = 0
-    covered: int = 0
-
-    def __post_init__(self) -> None:
-        size = self.height * self.width
-        self.depth = np.empty(size, np.float32)
-        self.visible = np.empty(size, np.int32)
-        self.triangle = np.empty(size, np.int32)
-        self.pixels = np.empty(size, np.int32)
-        self._grow(3 * size)
-
-    def _grow(self, capacity: int) -> None:
-        self.fragment_index = np.empty((capacity, 2), np.int32)
-        self.fragment_value = np.empty((capacity, 4), np.float32)
-
-    def draw(self, clip: np.ndarray, faces: np.ndarray, opacity: np.ndarray, key: int | None) -> "ViewRaster":
-        """Raster `faces` (T,3) int32 over `clip` (V,4) float32 with opacity (T,3) float32; key None: threshold .5. Returns
-        self."""
-        count = faces.shape[0]
-        if self.order.shape[0] < count:
-            room = count + count // 4
-            self.coefficients = np.empty((room, 12), np.float32)
-            self.rectangles = np.empty((room, 4), np.int32)
-            self.order = np.empty(room, np.int32)
-        kept = set_up_triangles(
-            clip, faces, self.height, self.width, self.coefficients, self.rectangles, self.order
-        )
-        while True:
-            self.depth.fill(np.inf)
-            self.visible.fill(-1)
-            self.fragments = raster_fragments(
-                self.order,
-                kept,
-                self.coefficients,
-                self.rectangles,
-                opacity,
-                self.width,
-                np.uint32(key or 0),
-                key is not None,
-                self.depth,
-                self.visible,
-                self.fragment_index,
-                self.fragment_value,
-            )
-            if self.fragments <= self.fragment_index.shape[0]:
-                break
-            self._grow(self.fragments + self.fragments // 4)
-        self.covered = resolve_visibility(self.visible, self.fragment_index, self.triangle, self.pixels)
-        return self
-
-
-def rasterize_opaque(clip: np.ndarray, faces: np.ndarray, height: int, width: int):
-    """Nearest-surface raster of an opaque mesh: (triangle, b0, b1, depth), each (height, width).
-
-    clip (V,4) float32 clip-space vertices, faces (T,3) int32. triangle int32 is 0 where nothing is hit, else index + 1;
-    b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is hit); depth float32 is NDC z
-    (+inf where nothing is hit).
-    """
-    faces = np.ascontiguousarray(faces, np.int32)
-    view = ViewRaster(height, width)
-    view.draw(np.ascontiguousarray(clip, np.float32), faces, np.ones((len(faces), 3), np.float32), None)
-    hit = view.visible >= 0
-    values = np.zeros((height * width, 2), np.float32)
-    values[hit] = view.fragment_value[view.visible[hit], :2]
-    shape = (height, width)
-    return (
-        (view.triangle + 1).reshape(shape),
-        values[:, 0].reshape(shape),
-        values[:, 1].reshape(shape),
-        view.depth.reshape(shape),
-    )
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def list_visible(planes, met, width, surface, shown):
+    """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned;
+    width in pixels."""
+    order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
+    triangle = surface.triangle
+    shown_pixel, shown_triangle, shown_b0, shown_b1 = shown
+    count = 0
+    for k in range(met):
+        t = order[k]
+        row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
+        columns = rectangles[t, 3] - column0 + 1
+        for row in range(row0, row1 + 1):
+            for column in range(0, columns, WIDTH):
+                pixel = row * width + column0 + column
+                mine = (load(triangle, pixel) == t) & first(columns - column)
+                if bits(mine) == 0:
+                    continue
+                of_line = line(coefficients, t, np.float32(row - row0))
+                m0, m1, m2, _ = along(of_line, to_float(iota() + column))
+                inverse = 1.0 / (m0 + m1 + m2)
+                store(shown_pixel, count, compress(iota() + pixel, mine))
+                store(shown_triangle, count, splat_int(t))
+                store(shown_b0, count, compress(m0 * inverse, mine))
+                store(shown_b1, count, compress(m1 * inverse, mine))
+                count += popcount(bits(mine))
+    store(shown_pixel, count, splat_int(0))
+    store(shown_triangle, count, splat_int(0))
+    store(shown_b0, count, splat(0.0))
+    store(shown_b1, count, splat(0.0))
+    return count

@@ -14,7 +14,8 @@ LIBRARIES = ("numpy", "scipy", "numba", "torch", "gudhi", "trimesh", "pillow")
 
 
 def packages() -> dict[str, str | None]:
-    """Return the versions of Python, this package and the libraries that decide a run's numbers; None where absent."""
+    """Return the versions of Python, this package and the libraries that decide a run's numbers; None where
+    absent."""
     versions: dict[str, str | None] = {
         "python": platform.python_version(),
         "paper_artifact": paper_artifact.__version__,
@@ -30,8 +31,8 @@ def packages() -> dict[str, str | None]:
 def host() -> dict[str, str | int | None]:
     """Return CPU model, visible logical cores, threads the run used, system and peak memory (MiB) so far.
 
-    Threads are those of the CPU kernels if they are loaded, else 1. (Asking numba itself would start its thread layer, which
-    changes the number of OpenMP threads that torch uses from then on.)
+    Threads are those of the CPU kernels if they are loaded, else 1. (Asking numba itself would start its
+    thread layer, which changes the number of OpenMP threads that torch uses from then on.)
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     kernels = sys.modules.get("paper_artifact.raster.threads")
@@ -56,7 +57,8 @@ def cpu_model() -> str:
 
 
 def peak_memory_mib() -> int | None:
-    """Return the process's largest resident size so far in MiB, or None where the system does not tell (Windows)."""
+    """Return the process's largest resident size so far in MiB, or None where the system does not tell
+    (Windows)."""
     try:
         import resource
     except ImportError:

@@ -1,8 +1,10 @@
-"""Lists of like-shaped JSON objects stored as tables, so that a log of 200 refreshes stays small and readable.
+"""Lists of like-shaped JSON objects stored as tables, so that a log of 200 refreshes stays small and
+readable.
 
-`unpack(pack(value)) == value` for every JSON value without keys that start with "#". Marks: {"#same": v, "#count": n} is n
-times v; {"#table": {key: column}} is a list of objects with those keys; {"#lists": [column, ...]} is a list of lists of one
-length; {"#mixed": [[places, list], ...]} is a list of objects of several kinds, each kind stored together.
+`unpack(pack(value)) == value` for every JSON value without keys that start with "#". Marks: {"#same": v,
+"#count": n} is n times v; {"#table": {key: column}} is a list of objects with those keys; {"#lists": [column,
+...]} is a list of lists of one length; {"#mixed": [[places, list], ...]} is a list of objects of several
+kinds, each kind stored together.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ def pack(value: Any) -> Any:
 
 
 def unpack(value: Any) -> Any:
-    """Return the JSON value that `pack` made compact. Raises ValueError, KeyError or TypeError for a damaged form."""
+    """Return the JSON value that `pack` made compact. Raises ValueError, KeyError or TypeError for a damaged
+    form."""
     if isinstance(value, list):
         return [unpack(item) for item in value]
     if not isinstance(value, dict):
@@ -28,7 +31,7 @@ def unpack(value: Any) -> Any:
         return [unpack(value["#same"]) for _ in range(value["#count"])]
     if "#table" in value:
         columns = {key: unpack(column) for key, column in value["#table"].items()}
-        return [dict(zip(columns, cells)) for cells in zip(*columns.values(), strict=True)]
+        return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
     if "#lists" in value:
         return [list(cells) for cells in zip(*(unpack(column) for column in value["#lists"]), strict=True)]
     if "#mixed" in value:

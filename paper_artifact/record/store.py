@@ -1,9 +1,9 @@
 """Run records: what one run was, on what it ran, and what came out, in one small JSON file.
 
-File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of the SHA-256 of the run's
-identity: what differs from the defaults (`paper_artifact.config.identity`), whose version the record names under "defaults". A second
-hash, "digest", covers the whole record, so that a hand-edited number is noticed. Numbers that are not finite are stored as null: JSON
-has no NaN.
+File name: `<shape>-<condition>-s<seed>-<hash>.json` in `results/runs/`; hash is the first 12 hex digits of
+the SHA-256 of the run's identity: what differs from the defaults (`paper_artifact.config.identity`), whose
+version the record names under "defaults". A second hash, "digest", covers the whole record, so that a
+hand-edited number is noticed. Numbers that are not finite are stored as null: JSON has no NaN.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 def plain(value: Any, digits: int | None = None) -> Any:
     """Return `value` as JSON knows it: mappings → dicts; arrays, tuples → lists; NaN, infinity → None.
 
-    digits: significant digits that floats are rounded to, or None. Raises InputError for what a record cannot hold.
+    digits: significant digits that floats are rounded to, or None. Raises InputError for what a record cannot
+    hold.
     """
     if isinstance(value, Mapping):
         if any(str(key).startswith("#") for key in value):
@@ -60,7 +61,8 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
 
 def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
-    """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the defaults."""
+    """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the
+    defaults."""
     return _hash(plain(identity(config, version)))[:12]
 
 
@@ -73,13 +75,15 @@ def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEF
 
 
 def recorded_path(config: RunConfig, folder: Path | str = RUNS) -> Path | None:
-    """Return the path of the record of `config` that is there, under the newest version of the defaults that has one, or None."""
+    """Return the path of the record of `config` that is there, under the newest version of the defaults that
+    has one, or None."""
     paths = [record_path(config, folder, version) for version in range(DEFAULTS_VERSION, 0, -1)]
     return next((path for path in paths if path.is_file()), None)
 
 
 def config_of(record: Mapping) -> RunConfig:
-    """Return the record's configuration; a field that is newer than the record has its default. InputError when it is not one."""
+    """Return the record's configuration; a field that is newer than the record has its default. InputError
+    when it is not one."""
     return config_from(record["config"], record["defaults"])
 
 
@@ -91,10 +95,11 @@ def make_record(
     losses: Mapping[str, list] | None = None,
     **more: Any,
 ) -> dict:
-    """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length, "step" among them.
+    """Return a record as a JSON-ready dict; `timings` in seconds by stage, `losses` columns of equal length,
+    "step" among them.
 
-    more: further sections ("images", "topology", "soup", ...). Losses are thinned to LOSS_POINTS rows, the last kept.
-    Raises InputError for a section that JSON cannot hold.
+    more: further sections ("images", "topology", "soup", ...). Losses are thinned to LOSS_POINTS rows, the
+    last kept. Raises InputError for a section that JSON cannot hold.
     """
     body = {
         "schema": SCHEMA,
@@ -129,8 +134,9 @@ def write_record(record: Mapping, folder: Path | str = RUNS) -> Path:
 def read_record(path: Path | str) -> dict:
     """Return the record at `path`.
 
-    Raises InputError, naming path and reason, for a file that is missing, cut off, no record, of another version, or
-    changed since it was written (config against its hash and its file name, all of it against the digest).
+    Raises InputError, naming path and reason, for a file that is missing, cut off, no record, of another
+    version, or changed since it was written (config against its hash and its file name, all of it against the
+    digest).
     """
     path = Path(path)
     try:
@@ -143,7 +149,7 @@ def read_record(path: Path | str) -> dict:
         ) from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise InputError(
-            f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder"
+            f"{path} is no run record of this artifact (schema {SCHEMA}); move it out of the folder"
         )
     if record.get("version") != VERSION:
         raise InputError(
@@ -181,10 +187,11 @@ def read_record(path: Path | str) -> dict:
 
 
 def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
-    """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list, tuple or set).
+    """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list,
+    tuple or set).
 
-    find_records(shape="torus", condition=("C0", "C1"), seed=range(3)). An empty or missing folder gives []. Damaged records
-    raise InputError, whatever the filters.
+    find_records(shape="torus", condition=("C0", "C1"), seed=range(3)). An empty or missing folder gives [].
+    Damaged records raise InputError, whatever the filters.
     """
     found = []
     for path in sorted(Path(folder).glob("*.json")):
@@ -208,9 +215,7 @@ def _thinned(losses: Mapping[str, Any]) -> dict:
     if len(lengths) > 1:
         raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
     length = lengths.pop() if lengths else 0
-    kept = (
-        np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
-    )
+    kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int))
     return {
         name: [int(x) if name == "step" else _short(x) for x in values[kept]]
         for name, values in columns.items()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from paper_artifact.errors import InputError
+from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
@@ -24,32 +23,33 @@ HOLDOUT_EVERY = 8
 class Scene:
     """A scene as the trainer sees it; `n` views in the order of their names.
 
-    images (n,H,W,3) float32 in [0,1], row 0 on top; world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
-    camera_centres (n,3), points (P,3) float32, world units; background (3,) float32 in [0,1]; train (k,), holdout (m,)
-    int64 view indices: every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup. `radius` is the
-    scene's bounding radius in world units, the unit of learning rates and of the near and far planes.
+    Every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup.
     """
 
-    path: Path
-    names: tuple[str, ...]
-    images: np.ndarray
-    world_to_clip: np.ndarray
-    camera_centres: np.ndarray
-    background: np.ndarray
-    points: np.ndarray
-    train: np.ndarray
-    holdout: np.ndarray
-    radius: float = 1.0
+    path: Path  # its folder
+    names: tuple[str, ...]  # of the images' files
+    images: np.ndarray  # (n,3,H,W) uint8, row 0 on top; `colours` gives them in [0,1]
+    world_to_clip: np.ndarray  # (n,4,4) float32, see `cameras.world_to_clip`
+    camera_centres: np.ndarray  # (n,3) float32, world units
+    background: np.ndarray  # (3,) float32 RGB in [0,1]
+    points: np.ndarray  # (P,3) float32, the SfM cloud, world units
+    train: np.ndarray  # (k,) int64, indices of the views to train on
+    holdout: np.ndarray  # (m,) int64, indices of the views held out
+    radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
+
+    def colours(self, views: np.ndarray | int) -> np.ndarray:
+        """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
+        return np.moveaxis(self.images[views], -3, -1) / np.float32(255)
 
 
 def load_scene(path: Path | str) -> Scene:
-    """Read the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
+    """Return the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
 
-    Background and radius come from scene.json where there is one; else the background is white and the radius half the
-    diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
+    Background and radius come from scene.json where there is one; else the background is white and the radius
+    half the diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
 
-    Raises InputError for missing or damaged files, images of unequal size or of another aspect than their camera,
-    fewer than two views, an SfM cloud of fewer than four points.
+    Raises InputError for missing or damaged files, images of unequal size or of another aspect than their
+    camera, fewer than two views, an SfM cloud of fewer than four points.
     """
     path = Path(path)
     if not path.is_dir():
@@ -72,9 +72,9 @@ def load_scene(path: Path | str) -> Scene:
     cameras = [model.camera(image) for image in order]
     images = [
         _read_image(path / "images" / name, camera.width / camera.height, background)
-        for name, camera in zip(names, cameras)
+        for name, camera in zip(names, cameras, strict=True)
     ]
-    sizes = sorted({image.shape[:2] for image in images})
+    sizes = sorted({image.shape[1:] for image in images})
     if len(sizes) > 1:
         (h0, w0), (h1, w1) = sizes[:2]
         raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
@@ -96,7 +96,7 @@ def load_scene(path: Path | str) -> Scene:
 
 
 def load_ground_truth(path: Path | str) -> Mesh:
-    """The mesh that the scene in the folder `path` was made of, world units.
+    """Return the mesh that the scene in the folder `path` was made of, world units.
 
     Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
     """
@@ -107,19 +107,9 @@ def load_ground_truth(path: Path | str) -> Mesh:
             "their surface; make one of a mesh"
         )
     try:
-        # Opened here, because numpy leaves the file open when it is no sound archive.
-        with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as stored:
-            vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+        stored = load_npz(file)
+        vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
+    except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
@@ -136,7 +126,7 @@ def _description(path: Path) -> dict:
         background = np.array(description["background"], dtype=np.float64)
         sound = (
             background.shape == (3,)
-            and 0 <= background.min()
+            and background.min() >= 0
             and background.max() <= 1
             and description["radius"] > 0
         )
@@ -152,7 +142,10 @@ def _description(path: Path) -> dict:
 
 
 def _cloud_radius(positions: np.ndarray) -> float:
-    """Half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers. World units."""
+    """Return half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers.
+
+    World units.
+    """
     low, high = np.percentile(positions, [1, 99], axis=0)
     radius = float(np.linalg.norm(high - low)) / 2
     if radius <= 0:
@@ -161,14 +154,18 @@ def _cloud_radius(positions: np.ndarray) -> float:
 
 
 def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """One image (H,W,3) float32 in [0,1]; `aspect` is the camera's width / height, resized copies are welcome."""
+    """Return an image (3,H,W) uint8, over the background where it is transparent.
+
+    aspect: the camera's width / height, which it must have; resized copies are welcome.
+    """
     try:
         with Image.open(file) as opened:
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
                 pixels = np.asarray(opened.convert("RGBA"), dtype=np.float32) / 255
                 pixels = pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:])
+                pixels = np.rint(255 * pixels).astype(np.uint8)
             elif opened.mode in ("RGB", "L", "P", "1", "CMYK", "YCbCr"):
-                pixels = np.asarray(opened.convert("RGB"), dtype=np.float32) / 255
+                pixels = np.asarray(opened.convert("RGB"))
             else:
                 raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
     except FileNotFoundError as error:
@@ -184,4 +181,4 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
         raise InputError(
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
-    return pixels
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))

@@ -10,15 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
+from paper_artifact.raster.arrays import FEATURES
 from paper_artifact.soup.state import Soup, initial_mlp
 
 RANDOM_PART = 1.0 / 3.0  # DiffSoup takes 10,000 farthest points and 5,000 random ones
-RADIUS_OF_SPACING = 0.25
+RADIUS_OF_SPACING = 0.25  # a first triangle's circumradius ÷ mean spacing of the centres
 
 
 @numba.njit(cache=True, nogil=True)
 def farthest_points(points, count, first):
-    """Return `count` indices (int64) of points (n,3) float64, each farthest from those before it, starting at `first`."""
+    """Return `count` indices (int64) of points (n,3) float64, each farthest from those before it, starting at
+    `first`."""
     chosen = np.empty(count, np.int64)
     distance = np.full(len(points), np.inf)
     current = first
@@ -42,14 +44,16 @@ def farthest_points(points, count, first):
 def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     """Return a soup of min(count, n) triangles on points (n,3), world frame.
 
-    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle is equilateral with
-    uniformly random orientation and circumradius .25 × the mean nearest-neighbour spacing of the chosen points; logits start at
-    zero. Raises InputError for fewer than two points or triangles, points that are not finite, or points that all coincide.
+    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle
+    is equilateral with uniformly random orientation and circumradius .25 × the mean nearest-neighbour spacing
+    of the chosen points; logits start at zero. Raises InputError for fewer than two points or triangles,
+    points that are not finite, or points that all coincide.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(
-            f"the SfM cloud must hold at least two finite points, got shape {points.shape}; check the scene's points3D"
+            f"the SfM cloud must hold at least two finite points, got shape {points.shape}; "
+            "check the scene's points3D"
         )
     if count < 2:
         raise InputError(
@@ -70,7 +74,7 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
     return Soup(
         torch.from_numpy(corners.astype(np.float32)),
-        torch.zeros(count, 3, 7),
+        torch.zeros(count, 3, FEATURES),
         torch.zeros(count, 3),
         initial_mlp(seed),
     ).trainable()

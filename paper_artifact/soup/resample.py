@@ -1,64 +1,62 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
-Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with long screen-space
-edges are split (DiffSoup's resampling). Two hooks let an allocation prior enter as weights without touching the loop:
-`prune_weight` turns the visible-pixel counts into the order of pruning, `split_weight` chooses among the visible triangles to
-split.
+Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with
+long screen-space edges are split (DiffSoup's resampling). Two hooks let an allocation prior enter as weights
+without touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning,
+`split_weight` chooses among the visible triangles to split.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 import torch
 
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import run_jobs
-from paper_artifact.raster.visibility import ViewRaster, to_clip
+from paper_artifact.raster.view import ViewRaster, to_clip
 from paper_artifact.soup.split import split_long_edges
 from paper_artifact.soup.state import Soup
 
-PruneWeight = Callable[
-    [np.ndarray, np.ndarray], np.ndarray
-]  # (corners (T,3,3), counts (T,)) → priority (T,): lowest goes first
-SplitWeight = Callable[
-    [np.ndarray, np.ndarray], np.ndarray
-]  # (corners (T,3,3), visible (T,) bool) → split (T,) bool
+# (corners (T,3,3), visible pixels (T,)) → priority (T,): the lowest goes first
+PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
+# (corners (T,3,3), visible (T,) bool) → split (T,) bool
+SplitWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """DiffSoup's order of pruning: the visible-pixel counts themselves."""
+    """Return DiffSoup's order of pruning: the visible-pixel counts themselves."""
     return counts
 
 
 def all_visible(corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """DiffSoup's choice for splitting: every triangle visible in the view."""
+    """Return DiffSoup's choice for splitting: every triangle visible in the view."""
     return visible
 
 
 @dataclass(frozen=True)
 class ResampleReport:
-    """What one resampling did: number of triangles before, after pruning, after splitting."""
+    """What one resampling did to the number of triangles."""
 
     before: int
-    pruned: int
-    after: int
+    pruned: int  # after pruning
+    after: int  # after splitting too
 
 
 @dataclass(frozen=True)
 class Resampler:
-    """DiffSoup's prune-and-split. budget: triangles kept by pruning; fractions are of the run's steps."""
+    """DiffSoup's prune-and-split."""
 
-    budget: int
-    interval: int = 100
-    prune_until: float = 0.955
-    split_until: float = 0.95
-    split_views: int = 20
-    split_height: float = 0.2
-    prune_weight: PruneWeight = by_visibility
-    split_weight: SplitWeight = all_visible
+    budget: int  # triangles kept by pruning
+    interval: int = 100  # steps between two resamplings
+    prune_until: float = 0.955  # fraction of the run's steps after which nothing is resampled
+    split_until: float = 0.95  # fraction of the run's steps after which nothing is split
+    split_views: int = 20  # views in which long edges are looked for
+    split_height: float = 0.2  # fraction of the image height above which an edge is long
+    prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
+    split_weight: SplitWeight = all_visible  # hook: which triangles may be split
 
     def due(self, step: int, steps: int) -> bool:
         """Return whether `step` (1-based) of `steps` ends with a resampling."""
@@ -67,10 +65,11 @@ class Resampler:
     def resample(
         self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, seed: int, step: int, steps: int
     ) -> tuple[Soup, ResampleReport]:
-        """Return the resampled soup and a report; world_to_clip (n,4,4) are the training views, height and width their full size.
+        """Return the resampled soup and a report; world_to_clip (n,4,4) are the training views, height and
+        width their full size.
 
-        Raises RuntimeError when a hook's answer has the wrong shape, or the result breaks an invariant (budget, finite vertices,
-        features carried along).
+        Raises RuntimeError when a hook's answer has the wrong shape, or the result breaks an invariant
+        (budget, finite vertices, features carried along).
         """
         before = len(soup)
         half = (max(height // 2, 1), max(width // 2, 1))
@@ -80,7 +79,8 @@ class Resampler:
             priority = np.asarray(self.prune_weight(corners, counts))
             if priority.shape != counts.shape or np.isnan(priority).any():
                 raise RuntimeError(
-                    f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN"
+                    f"prune_weight must give one number per triangle {counts.shape}, "
+                    f"got {priority.shape} or NaN"
                 )
             order = np.argsort(priority, kind="stable")
             soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget :])))
@@ -98,7 +98,7 @@ class Resampler:
         if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
             raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
         origins = np.arange(len(corners))
-        for matrix, wanted in zip(world_to_clip, chosen):
+        for matrix, wanted in zip(world_to_clip, chosen, strict=True):
             corners, origins = split_long_edges(
                 corners,
                 origins,
@@ -122,13 +122,13 @@ class Resampler:
 
 
 def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return per view and triangle the number of pixels (n,T) int64 in which the triangle is visible at the threshold .5."""
-    corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32).reshape(-1, 3)
-    faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    opacity = soup.corner_opacity()
+    """Return per view and triangle the number of pixels (n,T) int64 in which it is visible at the threshold
+    .5."""
+    drawn = soup.drawn()
 
     def job(index: int) -> np.ndarray:
-        view = ViewRaster(height, width).draw(to_clip(corners, world_to_clip[index]), faces, opacity, None)
-        return np.bincount(view.triangle[view.pixels[: view.covered]], minlength=len(faces))
+        view = ViewRaster(height, width)
+        view.draw(to_clip(drawn.vertices, world_to_clip[index]), drawn.opacity, None)
+        return view.visible_pixels(len(soup))
 
     return np.stack(run_jobs(job, len(world_to_clip)))

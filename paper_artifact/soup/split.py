@@ -1,6 +1,7 @@
 """Splitting triangles whose edges are long on screen (DiffSoup `remesh_clip`).
 
-Lengths are in NDC with x scaled by width/height, so an image is 2 units high: "1/5 of the image height" is 0.4.
+Lengths are in NDC with x scaled by width/height, so an image is 2 units high: "1/5 of the image height" is
+0.4.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ def _project(matrix, point, out):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _squared_length(a, b, aspect):
-    # Squared screen length of a clip-space edge; 0 when an end lies outside the clip cube, so that the edge is never split.
+    # Squared screen length of a clip-space edge; 0 when an end lies outside the clip cube, so that the edge
+    # is never split.
     for end in (a, b):
         if not end[3] > 0:
             return 0.0
@@ -32,11 +34,13 @@ def _squared_length(a, b, aspect):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
-    """Bisect the longest screen-space edge of each wanted triangle, and of its halves, until none exceeds `limit` (NDC).
+    """Bisect the longest screen-space edge of each wanted triangle, and of its halves, until none exceeds
+    `limit` (NDC).
 
-    corners (T,3,3) float32 world, origins (T,) int64, wanted (T,) bool, matrix (4,4) world → clip. Returns (corners (T',3,3),
-    origins (T',)): halves stay in place of the parent and at the end, both with the parent's origin and corner order (a, m, c)
-    and (m, b, c). The split point is the perspective-correct image midpoint.
+    corners (T,3,3) float32 world, origins (T,) int64, wanted (T,) bool, matrix (4,4) world → clip. Returns
+    (corners (T',3,3), origins (T',)): halves stay in place of the parent and at the end, both with the
+    parent's origin and corner order (a, m, c) and (m, b, c). The split point is the perspective-correct image
+    midpoint.
     """
     count = len(corners)
     room = count + 64

@@ -1,4 +1,5 @@
-"""What a Dask worker executes: one run in a child process and a folder of its own, whose record is the return value."""
+"""What a Dask worker executes: one run in a child process and a folder of its own, whose record is the return
+value."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from paper_artifact.study.worker import failure_of, start_run
 
 
 def remote_run(values: dict, device: str) -> tuple[dict, float]:
-    """Run the configuration (a dict) on this worker; return its record and the seconds of wall time that it took here.
+    """Run the configuration (a dict) on this worker; return its record and the seconds of wall time that it
+    took here.
 
     The run's process ends with the worker. Raises RuntimeError with the run's own last line when it fails.
     """

@@ -1,4 +1,5 @@
-"""The studies as data: tables of runs, shapes × conditions × seeds (paper §4 "Protocol"; seeds as in the paper's tables)."""
+"""The studies as data: tables of runs, shapes × conditions × seeds (paper §4 "Protocol"; seeds as in the
+paper's tables)."""
 
 from __future__ import annotations
 
@@ -36,9 +37,11 @@ def study_configs(
     conditions: list[str] | None = None,
     seeds: list[int] | None = None,
 ) -> list[RunConfig]:
-    """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The lists restrict it.
+    """Return the study's runs, seed by seed within each block: a sweep cut short leaves whole seeds. The
+    lists restrict it.
 
-    Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that leaves nothing.
+    Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that
+    leaves nothing.
     """
     if name not in STUDIES:
         raise InputError(f"unknown study {name!r}; choose one of {', '.join(STUDIES)}")
@@ -47,7 +50,8 @@ def study_configs(
         unknown = [str(value) for value in given or () if value not in known]
         if unknown:
             raise InputError(
-                f"study {name!r} has no {word} {', '.join(unknown)}; choose among {', '.join(map(str, known))}"
+                f"study {name!r} has no {word} {', '.join(unknown)}; "
+                f"choose among {', '.join(map(str, known))}"
             )
     configs = [
         study_config(shape, condition=condition, seed=seed)

@@ -1,16 +1,17 @@
-"""Running a table of runs: what is recorded is not run again, what was killed resumes, one failing run stops no other."""
+"""Running a table of runs: what is recorded is not run again, what was killed resumes, one failing run stops
+no other."""
 
 from __future__ import annotations
 
 import subprocess
 import threading
 import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
-from typing import Callable, Iterator
 
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
@@ -21,7 +22,8 @@ from paper_artifact.study.worker import failure_of, start_run
 
 @dataclass(frozen=True)
 class Outcome:
-    """One run's end: its configuration, seconds of wall time, and the reason it failed (None when it is recorded)."""
+    """One run's end: its configuration, seconds of wall time, and the reason it failed (None when it is
+    recorded)."""
 
     config: RunConfig
     seconds: float
@@ -29,7 +31,8 @@ class Outcome:
 
 
 def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
-    """Return those without a record in results/runs. A damaged record raises InputError: it is never silently overwritten."""
+    """Return those without a record in results/runs. A damaged record raises InputError: it is never silently
+    overwritten."""
     todo = []
     for config in configs:
         path = recorded_path(config, results / "runs")
@@ -41,7 +44,8 @@ def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
 
 
 class Estimate:
-    """Remaining wall time, from the runs that this sweep recorded: by condition where there are any, else their mean."""
+    """Remaining wall time, from the runs that this sweep recorded: by condition where there are any, else
+    their mean."""
 
     def __init__(self, todo: list[RunConfig], workers: int) -> None:
         self._left = [config.condition for config in todo]
@@ -75,7 +79,8 @@ class Estimate:
 
 
 def run_processes(todo: list[RunConfig], results: Path, workers: int, device: str) -> Iterator[Outcome]:
-    """Yield outcomes as they end; each run is a process of its own (`paper_artifact.study.worker`), at most `workers` at once."""
+    """Yield outcomes as they end; each run is a process of its own (`paper_artifact.study.worker`), at most
+    `workers` at once."""
     children: set[subprocess.Popen] = set()
     stopping, lock = threading.Event(), threading.Lock()
 
@@ -106,7 +111,8 @@ def run_processes(todo: list[RunConfig], results: Path, workers: int, device: st
 
 
 def connect(scheduler: str):
-    """Return a Dask client of the scheduler at this address. InputError when dask is not installed or nobody answers."""
+    """Return a Dask client of the scheduler at this address. InputError when dask is not installed or nobody
+    answers."""
     try:
         from dask.distributed import Client
     except ModuleNotFoundError as error:
@@ -122,7 +128,8 @@ def connect(scheduler: str):
 
 
 def run_dask(todo: list[RunConfig], results: Path, client, device: str) -> Iterator[Outcome]:
-    """Yield outcomes of the same runs on a Dask cluster (`connect`); records come back to this machine, soups do not.
+    """Yield outcomes of the same runs on a Dask cluster (`connect`); records come back to this machine, soups
+    do not.
 
     Runs of a worker that dies are given to another one; a run that fails is not tried again.
     """
@@ -152,9 +159,11 @@ def sweep(
     scheduler: str | None = None,
     report: Callable[[str, int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Run what is not recorded yet and return the outcomes; report(text, ended, total) is called when a run ends.
+    """Run what is not recorded yet and return the outcomes; report(text, ended, total) is called when a run
+    ends.
 
-    scheduler: address of a Dask scheduler, None for local processes. Raises InputError for bad input before any run starts.
+    scheduler: address of a Dask scheduler, None for local processes. Raises InputError for bad input before
+    any run starts.
     """
     if workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}")

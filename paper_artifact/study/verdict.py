@@ -1,95 +1,99 @@
-"""The study's verdict rule and its tables, as pure functions of plain rows (paper §4, Protocol: metrics and verdict).
+"""The study's verdict rule and its tables, as pure functions of plain rows (paper §4, Protocol: metrics and
+verdict).
 
-A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the discriminating
-dimension, mean of the last three dumps, radius / diagonal), and where known "dimension", "chamfer", "count" (significant bars
-at the end, in that dimension) and "expected" (the target's count). A list of rows or a pandas DataFrame will do; None
-and NaN mean unknown.
+A row is one run: a mapping with "shape", "condition", "seed" and "tail" (bottleneck to the target in the
+discriminating dimension, mean of the last three dumps, radius / diagonal), and where known "dimension",
+"chamfer", "count" (significant bars at the end, in that dimension) and "expected" (the target's count). A
+list of rows or a pandas DataFrame will do; None and NaN mean unknown.
 
-The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean, disjoint per-seed ranges)
-at Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the sample standard deviation (n - 1). Welch's
-sigma is given only where both arms ran at least five seeds. Counts (phantoms) are reported, they do not decide.
+The rule: C1 passes iff its tails lie below C0's and below every norm-matched control's (smaller mean,
+disjoint per-seed ranges) at Chamfer parity, mean Chamfer(C1) <= 1.15 mean Chamfer(C0). Means come with the
+sample standard deviation (n - 1). Welch's sigma is given only where both arms ran at least five seeds. Counts
+(phantoms) are reported, they do not decide.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from paper_artifact.catalogue import BASELINE, CONTROLS, LOSS
 from paper_artifact.errors import InputError
 
-BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")
 PARITY = 1.15
 WELCH_SEEDS = 5
 
-Rows = Iterable[Mapping] | pd.DataFrame
+Rows = Any  # an iterable of mappings, or a pandas DataFrame
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One shape's runs under one condition, in seed order. mean, sd of `tails` (sd None for one seed); chamfer: mean or None;
-    counts: significant bars per seed, None where unknown; ratio: mean of C0 / this mean, None without C0, inf for a zero mean."""
+    """One shape's runs under one condition, in seed order."""
 
     condition: str
     seeds: tuple[int, ...]
-    tails: tuple[float, ...]
-    counts: tuple[int | None, ...]
-    chamfer: float | None
-    ratio: float | None = None
+    tails: tuple[float, ...]  # per seed, radius / diagonal
+    counts: tuple[int | None, ...]  # significant bars per seed, None where unknown
+    chamfer: float | None  # mean over the seeds, / diagonal; None where one is unknown
+    ratio: float | None = None  # mean of C0 / this mean, None without C0, inf for a zero mean
 
     @property
     def mean(self) -> float:
+        """The mean tail."""
         return float(np.mean(self.tails))
 
     @property
     def sd(self) -> float | None:
+        """The sample standard deviation (n - 1) of the tails, None for one seed."""
         return float(np.std(self.tails, ddof=1)) if len(self.tails) > 1 else None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The rule applied to one shape.
+    """The rule applied to one shape and one loss arm.
 
-    outcome: "pass", or why not: "saturated" (every tail of C0 and C1 is one value), "no effect" (C1 and C0 overlap),
-    "worse" (C1 above C0), "parity failed", "tied by control" (overlaps a control), "beaten by control", "incomplete" (an arm is
-    missing); reason: one sentence. below: condition -> is C1's mean smaller; disjoint: condition -> do the ranges not touch;
-    parity: True, False or None (Chamfer unknown); parity_ratio; welch: condition -> sigma (only five-seed arms);
-    phantoms, missing: condition -> seeds that end with more or fewer significant bars than expected (only known counts).
+    outcome: "pass", or why not: "saturated" (every tail of baseline and loss is one value), "no effect" (loss
+    and baseline overlap), "worse" (loss above baseline), "parity failed", "tied by control" (overlaps a
+    control), "beaten by control", "incomplete" (an arm is missing).
     """
 
     shape: str
-    dimension: int | None
-    outcome: str
-    reason: str
-    arms: dict[str, Arm]
-    below: dict[str, bool] = field(default_factory=dict)
-    disjoint: dict[str, bool] = field(default_factory=dict)
-    parity: bool | None = None
-    parity_ratio: float | None = None
-    welch: dict[str, float] = field(default_factory=dict)
-    phantoms: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    missing: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    dimension: int | None  # the judged one
+    outcome: str  # see above
+    reason: str  # one sentence
+    arms: dict[str, Arm]  # by condition
+    loss: str = LOSS  # the condition that is judged
+    below: dict[str, bool] = field(default_factory=dict)  # rival → is the loss's mean smaller
+    disjoint: dict[str, bool] = field(default_factory=dict)  # rival → do the ranges not touch
+    parity: bool | None = None  # of Chamfer; None where unknown
+    parity_ratio: float | None = None  # mean Chamfer of the loss / of the baseline
+    welch: dict[str, float] = field(default_factory=dict)  # rival → sigma, only for five-seed arms
+    phantoms: dict[str, tuple[int, ...]] = field(default_factory=dict)  # condition → seeds with too many bars
+    missing: dict[str, tuple[int, ...]] = field(default_factory=dict)  # condition → seeds with too few bars
 
     @property
     def passed(self) -> bool:
+        """Whether the loss passes the rule."""
         return self.outcome == "pass"
 
     @property
     def ratio(self) -> float | None:
-        """Mean of C0 / mean of C1, or None when an arm is missing."""
-        return self.arms[LOSS].ratio if LOSS in self.arms else None
+        """Mean of the baseline / mean of the loss, or None when an arm is missing."""
+        return self.arms[self.loss].ratio if self.loss in self.arms else None
 
 
 def rows_of(records: Iterable[Mapping]) -> list[dict]:
-    """Return the rows of run records (`paper_artifact.record`); runs that are not done or have no tail are left out.
+    """Return the rows of run records (`paper_artifact.record`); runs without a tail are left out.
 
-    Expected counts, the same for every arm of a shape: the mesh's Betti number where known (finite bars: one component less in
-    dimension 0), or the bars of the shape's bundle where they are more (a bowl is a disk, but its samples show a void) or alone.
+    Expected counts, the same for every arm of a shape: the mesh's Betti number where known (finite bars: one
+    component less in dimension 0), or the bars of the shape's bundle where they are more (a bowl is a disk,
+    but its samples show a void) or alone.
     """
-    records = [each for each in records if each.get("status", "done") == "done" and each.get("tails")]
+    records = [each for each in records if each.get("tails")]
     bundled: dict[str, int] = {}
     for record in records:
         if record.get("bundle"):
@@ -112,17 +116,20 @@ def rows_of(records: Iterable[Mapping]) -> list[dict]:
     return rows
 
 
-def verdict(rows: Rows, controls: Sequence[str] = CONTROLS) -> dict[str, Verdict]:
-    """Return the verdict of every shape of `rows`, in order of appearance; `controls` without rows are not asked for.
+def verdict(rows: Rows, controls: Sequence[str] = CONTROLS, loss: str = LOSS) -> dict[str, Verdict]:
+    """Return the verdict on the condition `loss` for every shape of `rows`, in order of appearance.
 
-    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs twice in an arm,
-    and for a shape with two dimensions.
+    `controls` without rows are not asked for.
+
+    Raises InputError for a row without shape, condition, seed or a finite tail >= 0, for a seed that occurs
+    twice in an arm, and for a shape with two dimensions.
     """
-    return {shape: _judge(shape, group, controls) for shape, group in _by_shape(rows).items()}
+    return {shape: _judge(shape, group, controls, loss) for shape, group in _by_shape(rows).items()}
 
 
 def welch_sigma(a: Sequence[float], b: Sequence[float]) -> float | None:
-    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds or without variance."""
+    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); None below five seeds or
+    without variance."""
     if min(len(a), len(b)) < WELCH_SEEDS:
         return None
     variance = np.var(a, ddof=1) / len(a) + np.var(b, ddof=1) / len(b)
@@ -130,14 +137,16 @@ def welch_sigma(a: Sequence[float], b: Sequence[float]) -> float | None:
 
 
 def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> tuple[float, float, int]:
-    """Return (mean, sample sd, passes) of the ratio C0/C1 over the shapes `members`: Table 2's pre-registered group rows.
+    """Return (mean, sample sd, passes) of the ratio C0/C1 over the shapes `members`: Table 2's pre-registered
+    group rows.
 
     Raises InputError when a member has no ratio.
     """
     absent = [name for name in members if name not in verdicts or verdicts[name].ratio is None]
     if absent or len(members) < 2:
         raise InputError(
-            f"a group needs at least two shapes with C0 and C1 each; missing: {', '.join(absent) or 'a second member'}"
+            "a group needs at least two shapes with C0 and C1 each; "
+            f"missing: {', '.join(absent) or 'a second member'}"
         )
     ratios = [verdicts[name].ratio for name in members]
     return (
@@ -148,7 +157,7 @@ def group_statistic(verdicts: Mapping[str, Verdict], members: Sequence[str]) -> 
 
 
 def _by_shape(rows: Rows) -> dict[str, list[dict]]:
-    if isinstance(rows, pd.DataFrame):
+    if hasattr(rows, "to_dict"):
         rows = rows.to_dict("records")
     shapes: dict[str, list[dict]] = {}
     seen = set()
@@ -192,7 +201,7 @@ def _arms(group: list[dict]) -> dict[str, Arm]:
     return arms
 
 
-def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
+def _judge(shape: str, group: list[dict], controls: Sequence[str], judged: str) -> Verdict:
     dimensions = {int(row["dimension"]) for row in group if row.get("dimension") is not None}
     if len(dimensions) > 1:
         raise InputError(
@@ -200,68 +209,67 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str]) -> Verdict:
         )
     arms = _arms(group)
     expected = {row["condition"]: row["expected"] for row in group if row.get("expected") is not None}
-    phantoms, missing = {}, {}
-    for condition, arm in arms.items():
-        if condition in expected and None not in arm.counts:
-            phantoms[condition] = tuple(
-                s for s, n in zip(arm.seeds, arm.counts, strict=True) if n > expected[condition]
-            )
-            missing[condition] = tuple(
-                s for s, n in zip(arm.seeds, arm.counts, strict=True) if n < expected[condition]
-            )
-    common = {
+    counted = {name: arm for name, arm in arms.items() if name in expected and None not in arm.counts}
+    common: dict[str, Any] = {
         "shape": shape,
         "dimension": dimensions.pop() if dimensions else None,
         "arms": arms,
-        "phantoms": phantoms,
-        "missing": missing,
+        "loss": judged,
+        "phantoms": {
+            name: _seeds(arm, lambda n, most=expected[name]: n > most) for name, arm in counted.items()
+        },
+        "missing": {
+            name: _seeds(arm, lambda n, least=expected[name]: n < least) for name, arm in counted.items()
+        },
     }
     present = [name for name in controls if name in arms]
-    absent = [name for name in (BASELINE, LOSS) if name not in arms] + ([] if present else [controls[0]])
+    absent = [name for name in (BASELINE, judged) if name not in arms] + ([] if present else [controls[0]])
     if absent:
         return Verdict(**common, outcome="incomplete", reason=f"no runs of {', '.join(absent)}")
-    loss, baseline = arms[LOSS], arms[BASELINE]
+    loss, baseline = arms[judged], arms[BASELINE]
     rivals = [BASELINE, *present]
-    below = {name: loss.mean < arms[name].mean for name in rivals}
-    disjoint = {
-        name: max(loss.tails) < min(arms[name].tails) or min(loss.tails) > max(arms[name].tails)
-        for name in rivals
-    }
     sigmas = {name: welch_sigma(arms[name].tails, loss.tails) for name in rivals}
-    ratio = None
-    if loss.chamfer is not None and baseline.chamfer:
-        ratio = loss.chamfer / baseline.chamfer
-    parity = None if ratio is None else ratio <= PARITY
-    outcome, reason = _outcome(arms, present, below, disjoint, parity, ratio)
+    ratio = loss.chamfer / baseline.chamfer if loss.chamfer is not None and baseline.chamfer else None
+    outcome, reason = _outcome(loss, [arms[name] for name in rivals], ratio)
     return Verdict(
         **common,
         outcome=outcome,
         reason=reason,
-        below=below,
-        disjoint=disjoint,
-        parity=parity,
+        below={name: loss.mean < arms[name].mean for name in rivals},
+        disjoint={name: _disjoint(loss, arms[name]) for name in rivals},
+        parity=None if ratio is None else ratio <= PARITY,
         parity_ratio=ratio,
         welch={name: sigma for name, sigma in sigmas.items() if sigma is not None},
     )
 
 
-def _outcome(arms, controls, below, disjoint, parity, ratio) -> tuple[str, str]:
-    loss, baseline = arms[LOSS], arms[BASELINE]
+def _seeds(arm: Arm, chosen: Callable[[int], bool]) -> tuple[int, ...]:
+    return tuple(seed for seed, count in zip(arm.seeds, arm.counts, strict=True) if chosen(count))
+
+
+def _disjoint(a: Arm, b: Arm) -> bool:
+    return max(a.tails) < min(b.tails) or min(a.tails) > max(b.tails)
+
+
+def _outcome(loss: Arm, rivals: Sequence[Arm], ratio: float | None) -> tuple[str, str]:
+    """Return outcome and reason; rivals: the baseline first, then the controls; ratio: of the Chamfers."""
+    name, (baseline, *controls) = loss.condition, rivals
     if len({*loss.tails, *baseline.tails}) == 1 and len(loss.tails) > 1:
-        return "saturated", f"every tail of C0 and C1 is {_digits(loss.mean)}"
-    if not disjoint[BASELINE]:
-        return "no effect", f"C1 {_range(loss)} overlaps C0 {_range(baseline)}"
-    if not below[BASELINE]:
-        return "worse", f"C1 {_range(loss)} is above C0 {_range(baseline)}"
-    if parity is False:
-        return "parity failed", f"Chamfer of C1 is {ratio:.2f} times C0's, more than {PARITY}"
-    for name in controls:
-        if not disjoint[name]:
-            return "tied by control", f"C1 {_range(loss)} overlaps {name} {_range(arms[name])}"
-        if not below[name]:
-            return "beaten by control", f"{name} {_range(arms[name])} is below C1 {_range(loss)}"
-    chamfer = "Chamfer unknown" if ratio is None else f"Chamfer {ratio:.2f} times C0's"
-    return "pass", f"C1 {_range(loss)} is below C0 {_range(baseline)} and {', '.join(controls)}, {chamfer}"
+        return "saturated", f"every tail of {BASELINE} and {name} is {_digits(loss.mean)}"
+    if not _disjoint(loss, baseline):
+        return "no effect", f"{name} {_range(loss)} overlaps {BASELINE} {_range(baseline)}"
+    if not loss.mean < baseline.mean:
+        return "worse", f"{name} {_range(loss)} is above {BASELINE} {_range(baseline)}"
+    if ratio is not None and ratio > PARITY:
+        return "parity failed", f"Chamfer of {name} is {ratio:.2f} times {BASELINE}'s, more than {PARITY}"
+    for rival in controls:
+        if not _disjoint(loss, rival):
+            return "tied by control", f"{name} {_range(loss)} overlaps {rival.condition} {_range(rival)}"
+        if not loss.mean < rival.mean:
+            return "beaten by control", f"{rival.condition} {_range(rival)} is below {name} {_range(loss)}"
+    chamfer = "Chamfer unknown" if ratio is None else f"Chamfer {ratio:.2f} times {BASELINE}'s"
+    others = ", ".join(rival.condition for rival in controls)
+    return "pass", f"{name} {_range(loss)} is below {BASELINE} {_range(baseline)} and {others}, {chamfer}"
 
 
 def _digits(value: float) -> str:

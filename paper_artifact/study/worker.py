@@ -1,6 +1,8 @@
-"""One run in a process of its own: `python -m paper_artifact.study.worker CONFIG_JSON RESULTS DEVICE [watched]`.
+"""One run in a process of its own: `python -m paper_artifact.study.worker CONFIG_JSON RESULTS DEVICE
+[watched]`.
 
-A crash, a kill or a leak of one run cannot touch another; one thread each, since two such processes beat one with two threads.
+A crash, a kill or a leak of one run cannot touch another; one thread each, since two such processes beat one
+with two threads.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from pathlib import Path
 def start_run(values: dict, results: Path | str, device: str) -> subprocess.Popen:
     """Start the run of a configuration (a dict) that writes under `results`; wait for it with `failure_of`.
 
-    The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process holds open.
+    The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process
+    holds open.
     """
     command = [
         sys.executable,
@@ -38,7 +41,8 @@ def start_run(values: dict, results: Path | str, device: str) -> subprocess.Pope
 
 
 def failure_of(child: subprocess.Popen) -> str | None:
-    """Wait for a process of `start_run` and return why it failed in one line, None when its record is written."""
+    """Wait for a process of `start_run` and return why it failed in one line, None when its record is
+    written."""
     with child:
         errors = child.stderr.read()  # not communicate(), which would close stdin and so end the run
         child.wait()
@@ -60,7 +64,8 @@ def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
 
 
 def main() -> int:
-    """Run the configuration on the command line; the last line of stderr says what went wrong, if anything."""
+    """Run the configuration on the command line; the last line of stderr says what went wrong, if
+    anything."""
     if sys.argv[4:] == ["watched"]:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"

@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
 
+MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
+
 
 def median_spacing(points: np.ndarray) -> float:
     """Return r_med, the median nearest-neighbour distance of `points` (n,3) float, in their own unit (world).
@@ -29,17 +31,23 @@ def median_spacing(points: np.ndarray) -> float:
     return float(np.median(distances[:, 1]))
 
 
-def measurement_floor(points: np.ndarray, diagonal: float, k: float = 6.0) -> float:
+def check_diagonal(diagonal: float) -> None:
+    """Raise InputError unless `diagonal` (world units) is a positive, finite length."""
+    if not np.isfinite(diagonal) or diagonal <= 0:
+        raise InputError(
+            f"the diagonal must be a positive length, got {diagonal}; "
+            "use the ground truth's bounding-box diagonal"
+        )
+
+
+def measurement_floor(points: np.ndarray, diagonal: float, k: float = MULTIPLIER) -> float:
     """Return the floor k·r_med/diagonal: lifetimes (radius / diagonal) above it are significant.
 
     points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in
     the paper. Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal
     that is not positive.
     """
-    if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding box"
-        )
+    check_diagonal(diagonal)
     return k * median_spacing(points) / float(diagonal)
 
 

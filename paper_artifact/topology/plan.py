@@ -113,7 +113,7 @@ def _plan_dimension(
     """Return (pulls, simplices that fail the gate, report) of one dimension with target bars (m,2)."""
     dropped = 0
     if config.fallback == "drop":
-        keep = _passes(cloud, pairs).all(axis=1)
+        keep = np.asarray(_passes(cloud, pairs).all(axis=1))
         dropped = int((~keep & significant(pairs.diagram, floor)).sum())
         pairs = _chosen(pairs, keep)
     claims = _claims(pairs.diagram, target, floor, config.recruitment)
@@ -132,7 +132,7 @@ def _plan_dimension(
         values=pulled.diagram,
         simplices=simplices,
         target=aims,
-        sound=passes.all(axis=1),
+        sound=np.asarray(passes.all(axis=1)),
         weight=np.ones(len(claims.rows)),
     )
     return pulls, failing, _report(claims, pairs.diagram, target, floor, failures)

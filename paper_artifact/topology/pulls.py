@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -114,14 +115,14 @@ def loss_value(positions: Tensor, arrays: LossArrays) -> Tensor:
 
 class _Value(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, positions: Tensor, arrays: LossArrays) -> Tensor:
+    def forward(ctx: Any, positions: Tensor, arrays: LossArrays) -> Tensor:
         value, gradient = arrays.value_and_gradient(positions.detach().numpy())
         ctx.save_for_backward(torch.from_numpy(gradient))
         return torch.tensor(value, dtype=torch.float64)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, upstream: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         return upstream * ctx.saved_tensors[0], None
 
 

@@ -1,7 +1,7 @@
 """Where a photometric step is computed: the numba kernels on the CPU, or the plain-torch twin on a GPU.
 
-Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the
-loss.
+Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's
+tensors, return the loss.
 """
 
 from __future__ import annotations
@@ -10,22 +10,21 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.raster import functions
-from paper_artifact.raster.fused import FusedStep
+from paper_artifact.raster.photometric import make_target
+from paper_artifact.raster.step import PhotometricStep
+from paper_artifact.raster.view import make_camera
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, soup_of
 
 
 class CpuBackend:
-    """Numba kernels; targets are kept planar with their SSIM statistics, float32."""
+    """Numba kernels; targets are the scene's own bytes."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
-        self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2), np.float32)
-        self._statistics = functions.target_statistics(torch.from_numpy(self._targets))
-        self._matrices = np.ascontiguousarray(scene.world_to_clip, np.float32)
-        self._rays = functions.camera_rays(self._matrices)
-        self._step = FusedStep(*self._targets.shape[2:], scene.background)
+        self._targets = {int(view): make_target(scene.images[view]) for view in views}
+        self._cameras = {int(view): make_camera(scene.world_to_clip[view]) for view in views}
+        height, width = scene.images.shape[2:]
+        self._step = PhotometricStep(height, width, scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
         """Return the soup itself: it lives on the CPU."""
@@ -34,26 +33,19 @@ class CpuBackend:
     to_host = to_device
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
-        """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw key each."""
-        rows = [self._row[int(view)] for view in views]
-        with torch.no_grad():
-            features, opacity = torch.sigmoid(soup.features), torch.sigmoid(soup.opacity)
-            loss, gradients = self._step(
-                soup.vertices.numpy(),
-                features.numpy(),
-                opacity.numpy(),
-                tuple(each.numpy() for each in soup.mlp),
-                self._matrices[views],
-                self._rays[views],
-                [self._targets[row] for row in rows],
-                [tuple(each[row] for each in self._statistics) for row in rows],
-                keys,
-            )
-            soup.vertices.grad = torch.from_numpy(gradients.vertices)
-            soup.features.grad = torch.from_numpy(gradients.features).mul_(features * (1 - features))
-            soup.opacity.grad = torch.from_numpy(gradients.opacity).mul_(opacity * (1 - opacity))
-            for tensor, gradient in zip(soup.mlp, gradients.mlp):
-                tensor.grad = torch.from_numpy(gradient)
+        """Set the soup's gradients to the batch's and return the loss.
+
+        views: indices of the scene's views (B,), with one draw key (`draws.view_key`) each.
+        """
+        drawn = soup.drawn()
+        cameras = [self._cameras[int(view)] for view in views]
+        targets = [self._targets[int(view)] for view in views]
+        loss, gradients = self._step(drawn, cameras, targets, keys)
+        for value, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
+            sigmoid = torch.from_numpy(value)
+            torch.from_numpy(gradient).mul_(sigmoid * (1 - sigmoid))
+        for tensor, gradient in zip(soup.tensors(), gradients.flat(), strict=True):
+            tensor.grad = torch.from_numpy(gradient)
         return loss
 
 
@@ -65,16 +57,12 @@ class TwinBackend:
     ) -> None:
         self._device, self._dtype = torch.device(device), dtype
         self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = torch.from_numpy(scene.images[views].transpose(0, 3, 1, 2)).to(self._device, dtype)
+        self._targets = torch.from_numpy(scene.images[views]).to(self._device, dtype) / 255
         self._matrices = torch.from_numpy(scene.world_to_clip).to(self._device, dtype)
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [
-            tensor.detach().to(device, dtype).clone()
-            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        ]
-        return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in soup.tensors()]).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -91,13 +79,19 @@ class TwinBackend:
         target = self._targets[[self._row[int(view)] for view in views]]
         matrices = self._matrices[torch.as_tensor(views, device=self._device)]
         opacity = torch.sigmoid(soup.opacity)
-        raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
+        height, width = target.shape[2:]
+        raster = twin.rasterize(soup.vertices, opacity, matrices, height, width, keys)
         colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, self._background)
         auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
         colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
         loss = twin.photometric_loss(colour, target)
+        for tensor in soup.tensors():
+            tensor.grad = None
         (loss + auxiliary).backward()
         return loss.item()
+
+
+Backend = CpuBackend | TwinBackend
 
 
 def check_device(device: str) -> None:
@@ -108,8 +102,11 @@ def check_device(device: str) -> None:
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray):
-    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
+def backend_for(device: str, scene: Scene, views: np.ndarray) -> Backend:
+    """Return the backend for "cpu", "cuda" or "auto" (cuda if there is one).
+
+    Raises InputError as `check_device` does.
+    """
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
         return CpuBackend(scene, views)

@@ -1,7 +1,7 @@
 """Checkpoints: all that a run needs to go on to the same bits, written atomically right after a resampling.
 
-Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be stored; the MLP's moments
-and the term's own state are.
+Right after a resampling the soup's optimiser is new and the topology plan is due, so neither has to be
+stored; the MLP's moments and the term's own state are.
 """
 
 from __future__ import annotations
@@ -13,47 +13,50 @@ import torch
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
-from paper_artifact.soup.state import Soup
-from paper_artifact.train.state import TrainState, soup_optimisers
+from paper_artifact.soup.adam import soup_optimiser
+from paper_artifact.soup.state import soup_of
+from paper_artifact.train.backend import Backend
+from paper_artifact.train.state import TrainState
 from paper_artifact.train.term import LossTerm
 
-FORMAT = 2
-HISTORY = (
-    "step",
-    "losses",
-    "dumps",
-    "resamplings",
-    "seconds",
-)  # fields of the state that are stored as they are
+FORMAT = 3
+HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
 
 
-def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend) -> None:
-    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not writable."""
+def write_checkpoint(
+    path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend: Backend
+) -> None:
+    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not
+    writable."""
     soup = backend.to_host(state.soup)
     saved = {name: getattr(state, name) for name in HISTORY} | {
         "format": FORMAT,
         "config": _text(config),
-        "soup": [tensor.detach() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)],
-        "mlp_optimiser": state.optimisers["mlp"].state_dict(),
+        "soup": [tensor.detach() for tensor in soup.tensors()],
+        "mlp_moments": state.optimiser.mlp_state(),
         "term": term.state(),
     }
     with atomic_path(path) as temporary:
         torch.save(saved, temporary)
 
 
-def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend) -> TrainState | None:
-    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no such file.
+def resumed_state(
+    path: Path | None, config: RunConfig, term: LossTerm, backend: Backend
+) -> TrainState | None:
+    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no
+    such file.
 
-    The term takes over its own state. Raises InputError when the file is damaged or belongs to another configuration.
+    The term takes over its own state. Raises InputError when the file is damaged or belongs to another
+    configuration.
     """
     if path is None or not path.is_file():
         return None
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
-        version, saved_config, tensors = saved["format"], saved["config"], saved["soup"]
+        version, saved_config = saved["format"], saved["config"]
         history = {name: saved[name] for name in HISTORY}
-        soup = Soup(*tensors[:3], tuple(tensors[3:])).trainable()
-        moments, term_state = saved["mlp_optimiser"], saved["term"]
+        soup = soup_of(saved["soup"]).trainable()
+        moments, term_state = saved["mlp_moments"], saved["term"]
     except Exception as error:  # torch.load raises many kinds for a damaged file
         raise InputError(
             f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew"
@@ -63,8 +66,8 @@ def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend)
             f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
         )
     soup = backend.to_device(soup)
-    state = TrainState(soup=soup, optimisers=soup_optimisers(soup), resumed_at=history["step"], **history)
-    state.optimisers["mlp"].load_state_dict(moments)
+    state = TrainState(soup=soup, optimiser=soup_optimiser(soup), resumed_at=history["step"], **history)
+    state.optimiser.load_mlp_state(moments)
     term.load_state(term_state)
     return state
 

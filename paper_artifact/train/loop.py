@@ -1,7 +1,8 @@
-"""The training loop, the only one: DiffSoup's photometric training with a place for one additive loss term (paper §4).
+"""The training loop, the only one: DiffSoup's photometric training with a place for one additive loss term
+(paper §4).
 
-Steps count from 1. Everything random is a function of (seed, step): a run resumed from a checkpoint gives the same bits as one never
-stopped.
+Steps count from 1. Everything random is a function of (seed, step): a run resumed from a checkpoint gives the
+same bits as one never stopped.
 """
 
 from __future__ import annotations
@@ -18,17 +19,19 @@ from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
+from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup
-from paper_artifact.train.backend import backend_for
+from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
-from paper_artifact.train.state import TrainingError, TrainState, learning_rates, soup_optimisers
+from paper_artifact.train.state import TrainingError, TrainState, learning_rates
 from paper_artifact.train.term import LossTerm, NoTerm
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
-    """Return the scene's view indices of a step: each epoch is a fresh permutation of `train`, its last batch may be smaller."""
+    """Return the scene's view indices of a step: each epoch is a fresh permutation of `train`, its last batch
+    may be smaller."""
     per_epoch = -(-len(train) // batch)
     epoch, position = divmod(step - 1, per_epoch)
     order = stream(seed, "epoch", epoch).permutation(len(train))
@@ -47,13 +50,14 @@ def train(
     device: str = "auto",
     resampler: Resampler | None = None,
 ) -> TrainState:
-    """Train a soup on the scene's training views and return the state after the last step, the soup on the CPU.
+    """Train a soup on the scene's training views and return the state after the last step, the soup on the
+    CPU.
 
-    term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a dict) at each of
-    config.dump_steps. checkpoint: file that is written after each resampling and read at the start when it belongs to the same
-    configuration. progress(step, text) is called after each step. device: "cpu", "cuda" or "auto" (cuda when there is one).
-    Raises TrainingError when a loss or the soup stops being finite, InputError for a scene without training views or a foreign
-    checkpoint.
+    term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a
+    dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
+    start when it belongs to the same configuration. progress(step, text) is called after each step. device:
+    "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when a loss or the soup stops being
+    finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
@@ -65,8 +69,6 @@ def train(
     state = resumed_state(checkpoint, config, term, backend) or start_state(scene, config, backend)
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
-        with state.timed("optimiser"):
-            state.set_rates(learning_rates(config, float(scene.radius), step))
         with state.timed("photometric"):
             views = batch_views(scene.train, config.batch, config.seed, step)
             keys = [view_key(config.seed, step, int(view)) for view in views]
@@ -76,15 +78,16 @@ def train(
         with state.timed("topology"):
             add_term(term, state)
         with state.timed("optimiser"):
-            for optimiser in state.optimisers.values():
-                optimiser.step()
+            state.optimiser.step(learning_rates(config, float(scene.radius), step))
             state.check_vertices(config)
         state.resampled = False
         if resampler.due(step, config.steps):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
-                size, host = scene.images.shape[1:3], backend.to_host(state.soup)
-                soup, report = resampler.resample(host, views_of_all, *size, config.seed, step, config.steps)
+                height, width = scene.images.shape[2:]
+                soup, report = resampler.resample(
+                    backend.to_host(state.soup), views_of_all, height, width, config.seed, step, config.steps
+                )
                 state.replace_soup(backend.to_device(soup))
                 state.resamplings.append({"step": step, **vars(report)})
         if evaluate is not None and step in config.dump_steps:
@@ -99,18 +102,23 @@ def train(
     return state
 
 
-def start_state(scene: Scene, config: RunConfig, backend) -> TrainState:
-    """Return the state before the first step: a soup from the scene's cloud with `initial_ratio` times the budget's triangles."""
+def start_state(scene: Scene, config: RunConfig, backend: Backend) -> TrainState:
+    """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
     soup = backend.to_device(initial_soup(scene.points, count, config.seed))
-    return TrainState(0, soup, soup_optimisers(soup))
+    return TrainState(0, soup, soup_optimiser(soup))
 
 
 def add_term(term: LossTerm, state: TrainState) -> None:
-    """Add the term's gradient to that of the soup's vertices. Raises TrainingError when its value is not finite."""
+    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite."""
     soup = state.soup
+
+    def photo_norm() -> float:
+        gradient = soup.vertices.grad
+        return 0.0 if gradient is None else float(gradient.norm())
+
     term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
-    extra = term.value(state.step, soup.vertices, lambda: float(soup.vertices.grad.norm()))
+    extra = term.value(state.step, soup.vertices, photo_norm)
     if extra is None:
         return
     if not torch.isfinite(extra):

@@ -14,10 +14,12 @@ class LossTerm(Protocol):
     log: list[dict]  # what happened, JSON-able, for the record
 
     def refresh_if_due(self, step: int, vertices: Tensor, opacity: Tensor, resampled: bool) -> bool:
-        """Make the term's plan when it is due and return whether it was; opacity (T,3) in [0,1]; resampled: the soup is new."""
+        """Make the term's plan when it is due and return whether it was; opacity (T,3) in [0,1]; resampled:
+        the soup is new."""
 
     def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[[], float]) -> Tensor | None:
-        """Return the weighted loss (scalar), differentiable by the vertices, or None while the term is inactive."""
+        """Return the weighted loss (scalar), differentiable by the vertices, or None while the term is
+        inactive."""
 
     def state(self) -> dict:
         """Return what a resumed run needs."""
