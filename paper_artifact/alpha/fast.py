@@ -98,10 +98,19 @@ def _filtered(made: _Cells) -> _Filtration:
     of_cell, triangles, sides = filtration.faces(made.cells, made.neighbours)
     edge_count = made.distinct + len(triangles) - len(made.cells) - 1  # Euler's formula for a ball
     of_triangle, edges = filtration.edges_of(triangles, len(made.order), edge_count)
-    values = filtration.values(
+    cell_values, triangle_values, edge_values = filtration.values(
         made.points, made.cells, triangles, sides, of_cell, edges, of_triangle, np.empty(WORKSPACE)
     )
-    return _Filtration(*values, of_cell, triangles, sides, of_triangle, edges)
+    return _Filtration(
+        cell_values=cell_values,
+        triangle_values=triangle_values,
+        edge_values=edge_values,
+        of_cell=of_cell,
+        triangles=triangles,
+        sides=sides,
+        of_triangle=of_triangle,
+        edges=edges,
+    )
 
 
 def _reduced(made: _Filtration, vertex_count: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
