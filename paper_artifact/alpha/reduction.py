@@ -162,7 +162,8 @@ def voids(
 @njit(cache=True, nogil=True)
 def _grown(array: np.ndarray, used: int, size: int) -> np.ndarray:
     larger = np.empty(size, dtype=np.int32)
-    larger[:used] = array[:used]
+    for i in range(used):
+        larger[i] = array[i]
     return larger
 
 
