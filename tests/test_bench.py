@@ -97,11 +97,19 @@ def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
         "paper_artifact.bench.topology.plan_rows",
         lambda: [{"M": 2048, "pulls": 3000, "refresh_ms": 30.0, "persistence_ms": 20.0, "frozen_ms": 1.5}],
     )
-    rows = [{"M": m, "fast_ms": m / 64, "gudhi_ms": m / 8, "ratio": 8.0, "tetrahedra": m} for m in (64, 128)]
+    rows = [
+        {"M": size, "fast_ms": size / 64, "gudhi_ms": size / 8, "ratio": 8.0, "tetrahedra": size}
+        for size in (64, 128, 256)
+    ]
     monkeypatch.setattr("paper_artifact.bench.persistence.persistence_rows", lambda **options: rows)
+    monkeypatch.setattr(
+        "paper_artifact.bench.persistence.large_row",
+        lambda progress: progress("0.0 s delaunay") or {"M": 10**6, "seconds": 8.25, "peak_mb": 1300.0},
+    )
     assert cli.main(["bench", "raster", "run", "persistence", "loss", "--steps", "10"]) == 0
     printed = capsys.readouterr().out
-    assert "M =    128   ours      2.0" in printed and "time grows as M^1.00" in printed
+    assert "M =    128   ours      2.0" in printed and "growth: time M^1.00±0.00, gudhi" in printed
+    assert "0.0 s delaunay" in printed and "M = 1000000: 8.2 s of CPU, peak memory 1300 MB" in printed
     assert "174 ms at M = 2048, 1920 ms at M = 20000" in printed, "as results/published/text_cost.csv has it"
     assert "(paper: 46 s beside 33 to 41 s)" in printed
     assert "M =  2048, 3000 pulls: refresh   30.0 (persistence   20.0)   frozen step   1.50" in printed

@@ -8,6 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
+from scipy.stats import linregress
 
 from paper_artifact.alpha import delaunay, ordering
 from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence, gudhi_persistence
@@ -360,9 +361,24 @@ def test_benchmark_rows_are_complete_and_consistent():
             stages = [row[f"{key}_{stage}_ms"] for stage in STAGES]
             assert min(stages) >= 0 and sum(stages) > 0
         assert row["ratio"] == pytest.approx(row["gudhi_ms"] / row["fast_ms"])
-    assert benchmark.growth_exponent([{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]) == pytest.approx(
-        1.0
-    )
+
+
+def test_the_growth_exponent_is_the_least_squares_slope_over_all_rows():
+    rows = [{"M": size, "fast_ms": time} for size, time in ((10, 2.0), (20, 5.0), (40, 8.0), (80, 20.0))]
+    slope = linregress(*(np.log([row[key] for row in rows]) for key in ("M", "fast_ms")))
+    law = benchmark.growth_exponent(rows)
+    assert (law.exponent, law.error) == pytest.approx((slope.slope, slope.stderr), rel=1e-12)
+    two = benchmark.growth_exponent([rows[0], rows[2]])
+    assert two.exponent == pytest.approx(1.0) and np.isnan(two.error)
+
+
+def test_a_large_cloud_reports_its_stages_and_its_own_memory():
+    lines = []
+    row = benchmark.large_row(3000, "uniform", lines.append)
+    assert [line.split()[-1] for line in lines] == list(STAGES)
+    assert row["bars"][0] == 2999 and row["seconds"] > 0 and 20 < row["peak_mb"] < 2000
+    with pytest.raises(InputError, match="unknown cloud"):
+        benchmark.large_row(3000, "sea")
 
 
 @pytest.mark.parametrize("arguments", [{"cloud": "sea"}, {"sizes": (3,)}, {"sizes": ()}, {"repetitions": 0}])

@@ -86,7 +86,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
-    from paper_artifact.bench.persistence import growth_exponent, persistence_rows
+    from paper_artifact.bench.persistence import growth_exponent, large_row, persistence_rows
     from paper_artifact.report.cost import CLOUDS
 
     print("Alpha persistence with birth and death simplices; CPU ms, one thread, medians of 7 in turn")
@@ -98,13 +98,16 @@ def _persistence(folder: Path, arguments: argparse.Namespace) -> None:
                 f"    M = {row['M']:6d}   ours {row['fast_ms']:8.1f}   gudhi safe {row['gudhi_ms']:8.1f}   "
                 f"{row['ratio']:5.1f} ×"
             )
+        keys = {"time": "fast_ms", "gudhi": "gudhi_ms", "Delaunay tetrahedra": "tetrahedra"}
+        laws = {name: growth_exponent(rows, key) for name, key in keys.items()}
         print(
-            f"    time grows as M^{growth_exponent(rows):.2f} (gudhi "
-            f"M^{growth_exponent(rows, 'gudhi_ms'):.2f}, Delaunay tetrahedra "
-            f"M^{growth_exponent(rows, 'tetrahedra'):.2f})"
+            "    growth: " + ", ".join(f"{k} M^{law.exponent:.2f}±{law.error:.2f}" for k, law in laws.items())
         )
     paper = [f"{_paper('persistence_ms', samples)} ms at M = {samples}" for samples in (2048, 20_000)]
     print(f"  the paper's refresh (torus, its own machine): {', '.join(paper)}")
+    print("One large cloud, samples of 300 triangles, in a process of its own")
+    row = large_row(progress=lambda line: print(f"    {line}", flush=True))
+    print(f"  M = {row['M']}: {row['seconds']:.1f} s of CPU, peak memory {row['peak_mb']:.0f} MB")
 
 
 def _paper(quantity: str, samples: int | None = None) -> str:
