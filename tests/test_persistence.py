@@ -8,7 +8,6 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
-from scipy.stats import linregress
 
 from paper_artifact.alpha import delaunay, ordering
 from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence, gudhi_persistence
@@ -363,22 +362,15 @@ def test_benchmark_rows_are_complete_and_consistent():
         assert row["ratio"] == pytest.approx(row["gudhi_ms"] / row["fast_ms"])
 
 
-def test_the_growth_exponent_is_the_least_squares_slope_over_all_rows():
-    rows = [{"M": size, "fast_ms": time} for size, time in ((10, 2.0), (20, 5.0), (40, 8.0), (80, 20.0))]
-    slope = linregress(*(np.log([row[key] for row in rows]) for key in ("M", "fast_ms")))
-    law = benchmark.growth_exponent(rows)
-    assert (law.exponent, law.error) == pytest.approx((slope.slope, slope.stderr), rel=1e-12)
-    two = benchmark.growth_exponent([rows[0], rows[2]])
-    assert two.exponent == pytest.approx(1.0) and np.isnan(two.error)
-
-
-def test_a_large_cloud_reports_its_stages_and_its_own_memory():
-    lines = []
-    row = benchmark.large_row(3000, "uniform", lines.append)
-    assert [line.split()[-1] for line in lines] == list(STAGES)
-    assert row["bars"][0] == 2999 and row["seconds"] > 0 and 20 < row["peak_mb"] < 2000
-    with pytest.raises(InputError, match="unknown cloud"):
-        benchmark.large_row(3000, "sea")
+def test_growth_is_fitted_over_all_sizes_with_its_spread():
+    ends = [{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]
+    assert benchmark.growth(ends)[0] == pytest.approx(1.0) and benchmark.growth_text(ends) == "1.00"
+    rows = [{"M": 10**k, "fast_ms": 3.0 * 10 ** (1.5 * k)} for k in range(2, 6)]
+    assert benchmark.growth(rows) == pytest.approx((1.5, 0.0))
+    rows[0]["fast_ms"] *= 10**0.4  # log times 3.4, 4.5, 6, 7.5 above log 3: slope 1.38, squares .048, by hand
+    exponent, error = benchmark.growth(rows)
+    assert exponent == pytest.approx(1.38) and error == pytest.approx((0.048 / 2 / 5) ** 0.5)
+    assert benchmark.growth_text(rows) == "1.38 ± 0.07"
 
 
 @pytest.mark.parametrize("arguments", [{"cloud": "sea"}, {"sizes": (3,)}, {"sizes": ()}, {"repetitions": 0}])
@@ -386,4 +378,4 @@ def test_benchmark_refuses_bad_arguments(arguments):
     with pytest.raises(InputError):
         benchmark.persistence_rows(**arguments)
     with pytest.raises(InputError):
-        benchmark.growth_exponent([{"M": 5, "fast_ms": 1.0}])
+        benchmark.growth([{"M": 5, "fast_ms": 1.0}])

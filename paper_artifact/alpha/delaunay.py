@@ -10,7 +10,6 @@ alpha persistence diagram does not depend on the choice.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.expansions import WORKSPACE
 from paper_artifact.alpha.predicates import (
@@ -20,6 +19,7 @@ from paper_artifact.alpha.predicates import (
     orient3d_exact,
     orient3d_filter,
 )
+from paper_artifact.kernel_cache import njit
 
 INFINITE = -1  # the last vertex of a cell outside the hull
 DEAD = -2  # the first vertex of an unused row

@@ -1,8 +1,6 @@
 """The fast alpha persistence: triangulation, filtration and reduction, one after the other.
 
-The compiled code is cached beside the modules (numba, __pycache__), about 12 s of CPU the first time. numba
-looks for changes in the module of each function only: after an edit of expansions, predicates or ordering,
-remove the cache.
+The compiled code is kept beside the modules (`kernel_cache`), about 12 s of CPU the first time.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ paper, Method).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.ordering import sort_keys
+from paper_artifact.kernel_cache import njit
 
 # A triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an
 # edge.

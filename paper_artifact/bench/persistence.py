@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -37,7 +33,6 @@ def _uniform(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 Draw = Callable[[int, np.random.Generator], np.ndarray]
-LARGE = 1_000_000  # points of the large cloud
 CLOUDS: dict[str, Draw] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
 
 
@@ -59,7 +54,10 @@ def persistence_rows(
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
-    _check(cloud, draw, sizes, repetitions)
+    if draw is None and cloud not in CLOUDS:
+        raise InputError(f"unknown cloud {cloud!r}; choose one of {', '.join(CLOUDS)}")
+    if min(sizes, default=0) < 100 or repetitions < 1:
+        raise InputError("the benchmark needs sizes of at least 100 points and at least one repetition")
     fast_persistence(_uniform(100, stream(0, "persistence benchmark warm-up")))
     rows = []
     for size in sizes:
@@ -97,70 +95,21 @@ def persistence_rows(
     return rows
 
 
-class Growth(NamedTuple):
-    """A law time ~ M^exponent, fitted on logarithmic axes."""
+def growth(rows: list[dict], key: str = "fast_ms") -> tuple[float, float]:
+    """Return (p, its standard error) of time ~ M^p: least squares of the logarithms over all rows.
 
-    exponent: float
-    error: float  # standard error of the exponent; nan for two rows, which leave nothing to judge by
-
-
-def growth_exponent(rows: Sequence[Mapping], key: str = "fast_ms") -> Growth:
-    """Return the exponent of row[key] ~ row["M"]^p by least squares over all rows, with its standard error.
-
-    Raises InputError for fewer than two sizes.
+    The error is nan for two rows, which any power fits. Raises InputError for fewer than two sizes.
     """
     if len({row["M"] for row in rows}) < 2:
         raise InputError("a growth exponent needs rows of at least two sizes")
-    size, value = (np.log([row[name] for row in rows]) for name in ("M", key))
-    size = size - size.mean()
-    spread = (size**2).sum()
-    exponent = (size * value).sum() / spread
-    residual = value - value.mean() - exponent * size
-    freedom = len(rows) - 2
-    error = np.sqrt((residual**2).sum() / freedom / spread) if freedom else np.nan
-    return Growth(float(exponent), float(error))
+    x, y = (np.log([row[name] for row in rows]) for name in ("M", key))
+    x, y = x - x.mean(), y - y.mean()
+    exponent = (x @ y) / (x @ x)
+    spread = np.square(y - exponent * x).sum() / (len(rows) - 2) / (x @ x) if len(rows) > 2 else np.nan
+    return float(exponent), float(np.sqrt(spread))
 
 
-_CHILD = """
-import json, resource, sys, time
-from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.bench.persistence import CLOUDS
-from paper_artifact.randomness import stream
-cloud, size = json.loads(sys.argv[1])
-draw = CLOUDS[cloud]
-alpha_persistence(draw(100, stream(0, "persistence benchmark warm-up")))  # compiles or loads the kernels
-points = draw(size, stream(0, f"persistence benchmark {cloud}", size))
-start = time.process_time()
-say = lambda stage: print(f"{time.process_time() - start:.1f} s {stage}", flush=True)
-bars = alpha_persistence(points, progress=say)
-seconds = time.process_time() - start
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({"seconds": seconds, "peak_mb": peak, "bars": [len(each) for each in bars]}))
-"""
-
-
-def large_row(size: int = LARGE, cloud: str = "soup", progress: Callable[[str], None] | None = None) -> dict:
-    """Return {cloud, M, seconds, peak_mb, bars} of one large cloud in a process of its own, CPU seconds and
-    MiB.
-
-    cloud: one of CLOUDS; progress: called with a line as each stage begins. Raises InputError for an unknown
-    cloud or a size below 100, RuntimeError with the child's last line when it fails.
-    """
-    _check(cloud, None, (size,), 1)
-    command = [sys.executable, "-c", _CHILD, json.dumps([cloud, size])]
-    last = "no message"
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as child:
-        for line in child.stdout or ():
-            last = line.strip()
-            if progress is not None and not last.startswith("{"):
-                progress(f"{cloud}, M = {size}: {last}")
-    if child.returncode:
-        raise RuntimeError(f"the benchmark of a large cloud failed: {last}")
-    return {"cloud": cloud, "M": size, **json.loads(last)}
-
-
-def _check(cloud: str, draw: Draw | None, sizes: Sequence[int], repetitions: int) -> None:
-    if draw is None and cloud not in CLOUDS:
-        raise InputError(f"unknown cloud {cloud!r}; choose one of {', '.join(CLOUDS)}")
-    if min(sizes, default=0) < 100 or repetitions < 1:
-        raise InputError("the benchmark needs sizes of at least 100 points and at least one repetition")
+def growth_text(rows: list[dict], key: str = "fast_ms") -> str:
+    """Return `growth` as "0.98 ± 0.05", without the error where there is none."""
+    exponent, spread = growth(rows, key)
+    return f"{exponent:.2f}" if np.isnan(spread) else f"{exponent:.2f} ± {spread:.2f}"
