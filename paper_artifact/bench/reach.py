@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from paper_artifact.alpha.persistence import STAGES
 from paper_artifact.bench.child import Told, run_child
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -44,22 +43,17 @@ print(json.dumps({"loaded_mb": loaded, "peak_mb": peak_memory_mib(), "cpu": time
 """
 _PERSISTENCE = """
 import json, sys, time
-from paper_artifact.alpha.fast import squared_pairs
-from paper_artifact.alpha.persistence import alpha_persistence, make_pairs
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.bench.persistence import CLOUDS
 from paper_artifact.randomness import stream
 from paper_artifact.record.environment import peak_memory_mib
-cloud, size, stages = json.loads(sys.argv[1])
+cloud, size = json.loads(sys.argv[1])
 alpha_persistence(CLOUDS["uniform"](100, stream(0, "persistence benchmark warm-up")))
 points = CLOUDS[cloud](size, stream(0, f"persistence benchmark {cloud}", size))
-class Marks(list):
-    def append(self, mark):
-        print(stages[len(self)], flush=True)
-        super().append(mark)
 cpu, wall = time.process_time(), time.perf_counter()
-bars = [len(make_pairs(*rows)) for rows in squared_pairs(points, Marks())]
+bars = alpha_persistence(points, progress=lambda stage: print(stage, flush=True))
 print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall,
-                  "peak_mb": peak_memory_mib(), "bars": bars}))
+                  "peak_mb": peak_memory_mib(), "bars": [len(each) for each in bars]}))
 """
 
 
@@ -105,5 +99,5 @@ def photographs_row(
 def large_row(size: int = LARGE, cloud: str = "soup", told: Told | None = None) -> dict:
     """Return {cloud, M, cpu, wall, peak_mb, bars} of our persistence of one large cloud: seconds, MiB, bars
     per dimension. told(line) is called as each stage begins."""
-    row, _ = run_child(_PERSISTENCE, [cloud, size, STAGES], told)
+    row, _ = run_child(_PERSISTENCE, [cloud, size], told)
     return {"cloud": cloud, "M": size, **row}

@@ -21,7 +21,7 @@ from paper_artifact.bench.raster import BATCH, sphere_case
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.raster.draws import view_key
-from paper_artifact.raster.threads import set_thread_count, thread_count
+from paper_artifact.raster.threads import one_torch_thread, set_thread_count, thread_count
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.state import Soup
@@ -86,6 +86,7 @@ class Stepper:
         config = study_config("sphere", steps=1)  # the rates of a run's end: the soup stays what it is
         self._rates = learning_rates(config, float(scene.radius), config.steps)
 
+    @one_torch_thread()  # as the trainer does: torch's threads would spin beside the kernels
     def __call__(self) -> tuple[float, float]:
         """Take a step; return its (CPU, wall) milliseconds."""
         self._taken += 1
