@@ -1,7 +1,7 @@
 """The step of training against the number of triangles and pixels, on one core and two; a law of its cost.
 
 The soup is the sphere's after 300 steps, its triangles halved until there are enough: soups trained with that
-many triangles cost the same to 10 % (N = 1,000 to 15,000, 100 to 1,600 px).
+many triangles cost the same to 12 % (N = 1,000 to 15,000, 100 to 1,600 px).
 """
 
 from __future__ import annotations
