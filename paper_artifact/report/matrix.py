@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import linear_sum_assignment
 
 from paper_artifact.catalogue import colour_of
-from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.records import Collected, target_of
@@ -130,56 +130,3 @@ def seed_figure(collected: Collected, shapes: Sequence[str] = ()) -> Figure:
         axis.set_xticks(range(len(own)), own["condition"])
         label_axis(axis, f"{shape}: tail bottleneck per seed (× the paper's mean)")
     return figure
-
-
-def diagram_figure(
-    collected: Collected,
-    shape: str,
-    seed: int = 0,
-    conditions: Sequence[str] = (),
-    steps: Sequence[int] = (200, 700, 1300, 2500),
-) -> Figure:
-    """Return Fig. S1: the live diagrams' longest bars in the judged dimension (20,000 samples, radius / D)
-    under each condition (rows; default: all) at some steps (columns); stars: the target's significant
-    bars."""
-    conditions = list(conditions) or frames.conditions(collected)
-    figure, axes = new_figure(len(conditions), len(steps), 2.1, 2.1)
-    target = target_of(shape)
-    stars = target.diagram[target.dimension]
-    stars = stars[stars[:, 1] - stars[:, 0] > target.floor]
-    limit = 1.15 * float(stars.max())
-    for condition, line in zip(conditions, axes, strict=True):
-        live = _bars(collected, shape, condition, seed)
-        for step, axis in zip(steps, line, strict=True):
-            title = f"{condition}, step {step}" + ("" if step in live else ": not recorded")
-            draw_diagram(axis, live.get(step, np.empty((0, 2))), target.floor, limit, stars, title)
-    return figure
-
-
-def diagram_table(
-    collected: Collected,
-    shape: str,
-    seed: int = 0,
-    conditions: Sequence[str] = (),
-    steps: Sequence[int] = (200, 700, 1300, 2500),
-) -> pd.DataFrame:
-    """Return the figure's numbers: birth and death of the longest live bar per condition and step."""
-    rows = {}
-    for condition in list(conditions) or frames.conditions(collected):
-        live = _bars(collected, shape, condition, seed)
-        if live:
-            longest = {step: live[step][0] for step in steps if len(live.get(step, ()))}
-            rows[condition] = {
-                f"step {step}": "({:.4f}, {:.4f})".format(*bar) for step, bar in longest.items()
-            }
-    return pd.DataFrame.from_dict(rows, orient="index")
-
-
-def _bars(collected: Collected, shape: str, condition: str, seed: int) -> dict[int, np.ndarray]:
-    """Return {step: longest live bars (k,2) in the judged dimension} of that run, empty when it is not
-    recorded."""
-    return {
-        dump["step"]: np.asarray(dump["bars"][record["mesh"]["dimension"]], dtype=float).reshape(-1, 2)
-        for record in collected.of(shape, condition, seed)
-        for dump in record["dumps"]
-    }

@@ -31,6 +31,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "margins of every bundle's features at the study's densities, 40 seeds, the torus's 200",
     ),
     "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "diagrams": (
+        "measure_diagrams",
+        "every void bar of one sphere seed at the start and at four steps under C0, C1, C2 (trains them)",
+    ),
     "deviations": (
         "measure_deviations",
         "the repair gate without decay, and soups sampled with another mean of their opacities",
