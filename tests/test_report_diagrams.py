@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiny_run import tiny_config
 
 from paper_artifact.evaluate.scores import make_target
 from paper_artifact.pipeline import run
 from paper_artifact.report import diagrams, measured
 from paper_artifact.scene.shapes import make_shape
+from tests.tiny_run import tiny_config
 
 
 def test_the_kept_bars_are_those_of_the_run_s_dumps(tmp_path):

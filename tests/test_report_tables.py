@@ -78,10 +78,11 @@ def test_figures_draw_what_the_tables_say(study):
 
 def test_an_h0_tail_is_the_most_isolated_sample():
     """On the committed records: the bar after the merging one, left alone or matched to the target's longest
-    noise bar, whichever is cheaper, costs the bottleneck distance, in every arm."""
+    noise bar, whichever is cheaper, costs the bottleneck distance, unless the merging bar's error is larger;
+    in every arm."""
     table = matrix.component_table(collect_study("table1"), "two_spheres")
-    assert (table["merging bar off by"] < 0.002).all()
-    assert (table["lesser, per seed"] - table["bottleneck, H0"]).abs().max() < 2e-4
+    assert (table["merging bar off by"] < 0.003).all()
+    assert (table["what binds, per seed"] - table["bottleneck, H0"]).abs().max() < 2e-4
     for one in ("next bar alone", "less the target's noise bar"):
         assert (table[one] - table["bottleneck, H0"]).abs().max() > 1e-3, "neither way fits all arms"
 

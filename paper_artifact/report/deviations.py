@@ -175,7 +175,8 @@ def _gate(collected: Collected, stored: pd.DataFrame) -> str:
             step = own[name, f"step of the paper's factor, rate to {rate:g}"]
             factor = own[name, f"factor at the end, rate to {rate:g}"]
             when = "never" if pd.isna(step) else f"at step {step:.0f}"
-            parts.append(f"{word} {when}, {factor:.3g}× at the end")
+            end = f"{factor:.3g}×" if np.isfinite(factor) else "no distance left"
+            parts.append(f"{word} {when}, {end} at the end")
         texts.append(f"{name} reaches {published_factor(name)[1]}: " + "; ".join(parts))
     return ". ".join(texts)
 
@@ -197,7 +198,7 @@ def _two_spheres(collected: Collected, stored: pd.DataFrame) -> str:
                 shares.append(parts.get("2", 0.0) / sum(parts.values()))
     if not shares:
         return "two_spheres C1 is not recorded"
-    return f"H2 is {100 * np.median(shares):.0f} % of the pulled loss (median over the refreshes of C1)"
+    return f"H2 is {100 * np.median(shares):.1f} % of the pulled loss (median over the refreshes of C1)"
 
 
 def _start(collected: Collected, stored: pd.DataFrame) -> str:

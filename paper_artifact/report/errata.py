@@ -15,7 +15,7 @@ import pandas as pd
 
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.published import PUBLISHED, published
-from paper_artifact.report.kit.text import counts_text
+from paper_artifact.report.kit.text import blank, counts_text
 from paper_artifact.topology.matching import match_bars
 
 EUCLIDEAN_DIAGONAL = 0.5  # of (d - b)²: what W2 with the Euclidean ground metric charges a bar left alone
@@ -258,4 +258,4 @@ def variation_table() -> pd.DataFrame:
     arms = arms[(arms["sd"] > 0) & (arms["value"] > 0)]
     cv = (100 * arms["sd"] / arms["value"]).round(1).set_axis(pd.MultiIndex.from_frame(arms[frames.ARM]))
     table = cv.unstack("condition")
-    return table.loc[frames.shapes_in_order(table.index)].fillna("")
+    return blank(table.loc[frames.shapes_in_order(table.index)])

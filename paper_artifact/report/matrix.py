@@ -49,7 +49,8 @@ def component_table(collected: Collected, shape: str) -> pd.DataFrame:
 
     The merging bar's error (of its death, against the target's); what the next longest live bar (the most
     isolated sample) costs in either of its two ways: alone, half its death, or with the target's longest
-    noise bar, their difference; the lesser of the two, seed by seed; and the bottleneck distance measured.
+    noise bar, their difference; seed by seed the lesser of the two, or the merging bar's error where that is
+    larger; the bottleneck distance measured; and in how many seeds it is the merging bar's.
     """
     rows = {}
     merging, noise = np.sort(target_of(shape).diagram[0][:, 1])[::-1][:2]
@@ -57,13 +58,15 @@ def component_table(collected: Collected, shape: str) -> pd.DataFrame:
         lasts = [record["dumps"][-1] for record in collected.of(shape, condition)]
         if lasts:
             first, following = np.array([[bar[1] for bar in last["bars"][0][:2]] for last in lasts]).T
+            off = abs(first - merging)
             lesser = np.minimum(following / 2, following - noise)
             rows[condition] = {
-                "merging bar off by": abs(first - merging).mean().round(4),
+                "merging bar off by": off.mean().round(4),
                 "next bar alone": (following / 2).mean().round(4),
                 "less the target's noise bar": (following - noise).mean().round(4),
-                "lesser, per seed": lesser.mean().round(4),
+                "what binds, per seed": np.maximum(lesser, off).mean().round(4),
                 "bottleneck, H0": np.mean([last["bottleneck"][0] for last in lasts]).round(4),
+                "by the merging bar": f"{(off > lesser).sum()} of {len(lasts)}",
             }
     return pd.DataFrame.from_dict(rows, orient="index")
 
