@@ -12,7 +12,7 @@ from paper_artifact.bench import compilation, raster, speed, topology
 from paper_artifact.bench.child import run_child
 from paper_artifact.bench.reach import large_row, photographs_row
 from paper_artifact.bench.run import run_row
-from paper_artifact.cli import bench_parts
+from paper_artifact.cli import _bench_parts as bench_parts
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.raster.threads import thread_count

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from paper_artifact.bench.speed import machine_line
-    from paper_artifact.cli import bench_parts
+    from paper_artifact.cli import _bench_parts as bench_parts
 
     torch.set_num_threads(1)
     print(f"machine: {machine_line()}")
