@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
+from paper_artifact.export.figures import new_figure
 from paper_artifact.report import gate
+from paper_artifact.study.repair import Trajectory
 
 
 def test_component_sizes_are_single_linkage():
@@ -22,13 +26,29 @@ def test_a_bridge_is_cut_where_it_is_sparse_and_stands_where_it_is_dense():
     severed = gate.severed_table(runs)
     assert severed["the second one"].tolist() == ["a half", "a single point"]
     table = gate.gate_table(runs)
-    assert table.loc["ours reaches it"].tolist() == [True, True] and table.loc[
-        "significant before"
-    ].tolist() == [0, 0]
-    assert len(gate.gate_figure(runs).axes) == 6 and gate.factor_table(runs)["paper's"].tolist() == [
-        "450×",
-        "450×",
-    ]
+    assert table.loc["significant before"].tolist() == [0, 0] and table.loc["after"].tolist() == [1, 1]
+    factors = gate.factor_table(runs)
+    assert len(gate.gate_figure(runs).axes) == 6 and factors["paper's factor"].tolist() == ["450×", "450×"]
+    for _, run in runs.values():
+        step, value = gate.at_factor(run, 450)
+        before = run.bottleneck[run.steps < step]
+        assert value <= run.bottleneck[0] / 450 < before.min()
+    assert not (factors["first at step"] == "never").any()
+
+
+def test_the_value_at_a_factor_and_zeros_on_a_line_of_their_own():
+    cloud = np.zeros((3, 3))
+    curve = np.array([0.09, 0.03, 0.009, 0.0, 0.0])
+    run = Trajectory("T2", np.arange(5) * 20, curve, *[np.zeros(5, int)] * 3, cloud, cloud)
+    assert gate.at_factor(run, 8.8) == (40, 0.009) and gate.at_factor(run, np.inf) == (60, 0.0)
+    assert gate.at_factor(replace(run, bottleneck=curve + 0.01), np.inf) == (None, None)
+    axis = new_figure(1, 1, 3, 2)[1][0][0]
+    gate._draw_curve(axis, run, 8.8)
+    (drawn,) = axis.collections
+    assert len(drawn.get_offsets()) == 2 and drawn.get_offsets()[:, 1].max() < 0.009
+    labels = dict(zip((each.get_text() for each in axis.get_yticklabels()), axis.get_yticks(), strict=True))
+    assert list(labels) == ["0", "0.001", "0.01", "0.1"] and labels["0"] == drawn.get_offsets()[0, 1]
+    assert labels["0"] < labels["0.001"] < curve[2] < labels["0.1"] < axis.get_ylim()[1] * 1.01
 
 
 def test_lemma():

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from paper_artifact.certify.certificate import certify
+from paper_artifact.audit.rule import WORKING
+from paper_artifact.catalogue import shape_row, shapes_of, study_config
+from paper_artifact.certify.certificate import certify, certify_mesh
+from paper_artifact.errors import InputError
 from paper_artifact.report import group_wave, measured
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import agreement, staircases
+from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.study.dispositions import Disposition
+from paper_artifact.scene.sources import sources
+from paper_artifact.study.dispositions import Disposition, dispositions
+from paper_artifact.study.studies import STUDIES
 
 BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
 SIDES = ("f 1 2 4 3\n", "f 5 7 8 6\n", "f 1 5 6 2\n", "f 3 4 8 7\n", "f 1 3 7 5\n", "f 2/1 6/2 8/3 4/4\n")
@@ -117,3 +125,52 @@ def test_dispositions_as_tables(monkeypatch, tmp_path):
         and detail.loc["horse", "wound"] == "inwards"
         and detail.loc["horse", "χ"] == 2
     )
+
+
+def test_the_plan_is_the_catalogue_s_and_the_study_s():
+    plan = group_wave.plan()
+    assert set(plan["pool"]["candidates"]) == set(published("S12")["shape"])
+    assert all(sources()[key].repository in (*plan["pool"]["collections"], "") for key in ("horse", "eight"))
+    for group, members in plan["members"].items():
+        assert tuple(members) == shapes_of(group)
+        for name, facts in members.items():
+            row = shape_row(name)
+            own = {"samples": row.samples, "bundle_seed": row.bundle_seed, "budget": row.budget}
+            assert facts == own | {"dimensions": None if row.dimensions is None else list(row.dimensions)}
+    shapes, conditions, seeds = STUDIES["table2"][0]
+    assert set(shapes) == {name for members in plan["members"].values() for name in members}
+    runs, config = plan["runs"], study_config("horse", "C1")
+    assert (runs["conditions"], runs["seeds"]) == (list(conditions), list(seeds))
+    assert (runs["steps"], runs["views"], runs["size"]) == (config.steps, config.views, config.size)
+    loss = config.loss
+    assert (runs["rho"], tuple(runs["ramp"]), runs["refresh_every"]) == (
+        loss.rho,
+        loss.ramp,
+        loss.refresh_every,
+    )
+    assert list(plan["rule"]["working_densities"]) == list(WORKING)
+    table = group_wave.plan_table()
+    assert "eight (M = 8192)" in table.loc[("members", "loop group"), ""]
+
+
+def test_a_stored_certificate_is_what_the_mesh_gives_now():
+    stored = group_wave.certificates()
+    obtainable = {key for key in published("S12")["shape"] if sources()[key].obtainable}
+    assert set(stored) == obtainable | {"bob", "spot", "fandisk"}
+    for key in ("eight", "spot"):
+        now = certify_mesh(find_mesh(key, welded=False)).to_json()
+        assert group_wave.same_certificate(now, stored[key])
+        assert not group_wave.same_certificate(now | {"euler": now["euler"] + 1}, stored[key])
+        inward = json.loads(json.dumps(now))
+        inward["components"][0]["volume"] *= -1
+        assert not group_wave.same_certificate(inward, stored[key])
+    decided = dispositions(["cow", "eight"])
+    assert group_wave.certificate_text(decided) == "2 of 2 certificates are those in results/certificates/"
+    verdicts = published("S12").set_index("shape")["certificate"]
+    assert all(stored[key]["verdict"] == verdicts[key] for key in obtainable)
+
+
+def test_a_damaged_plan_is_named(tmp_path):
+    (tmp_path / "plan.json").write_text("{")
+    with pytest.raises(InputError, match="plan.json"):
+        group_wave.plan(tmp_path / "plan.json")

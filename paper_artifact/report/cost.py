@@ -178,3 +178,37 @@ def share_table(collected: Collected) -> pd.DataFrame:
     paper = published("cost").set_index("quantity")["printed"]
     rows["paper (gudhi on the CPU)"] = {"loss adds s": paper["loss_seconds_per_run"]}
     return pd.DataFrame(rows, dtype=object).T.rename_axis("shape").fillna("")
+
+
+TEN_MINUTES = 600  # seconds: the run whose share the paper projects
+
+
+def overhead_table(collected: Collected) -> pd.DataFrame:
+    """Return the paper's projection s / (T + s), the share that a loss of s seconds has in a run whose
+    photometric cost is T, with ours per shape: medians over the recorded C1 runs of s and of T (training
+    without the loss and without evaluation), their share, and the share of a ten-minute run; then with the
+    paper's seconds."""
+    rows = {}
+    for shape in dict.fromkeys(record["config"]["shape"] for record in collected.records):
+        timings = [record["timings"] for record in collected.of(shape, LOSS)]
+        if not timings:
+            continue
+        loss = float(np.median([each["topology"] for each in timings]))
+        rest = float(
+            np.median([sum(each.values()) - each["topology"] - each["evaluate"] for each in timings])
+        )
+        rows[shape] = {"s": f"{loss:.1f}", "T": f"{rest:.1f}"} | _shares(loss, (rest,))
+    paper = published("cost").set_index("quantity")
+    names = ["photometric_seconds_low", "photometric_seconds_high"]
+    low, high = paper["value"][names]
+    rows["paper"] = {
+        "s": paper["printed"]["loss_seconds_per_run"],
+        "T": "–".join(paper["printed"][names]),
+    } | _shares(paper["value"]["loss_seconds_per_run"], (high, low))
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("shape")
+
+
+def _shares(loss: float, rests: Sequence[float]) -> dict[str, str]:
+    """Return the shares of a loss of that many seconds in runs of these photometric costs, least first."""
+    own = "–".join(f"{100 * loss / (rest + loss):.0f}" for rest in rests)
+    return {"s / (T + s) %": own, "of a ten-minute run %": f"{100 * loss / (TEN_MINUTES + loss):.1f}"}

@@ -5,6 +5,7 @@ Units as in `report.kit.staircase`.
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,6 +15,8 @@ import numpy as np
 import pandas as pd
 
 from paper_artifact.catalogue import shape_row, shapes_of
+from paper_artifact.errors import InputError
+from paper_artifact.files import RESULTS
 from paper_artifact.report.kit.frames import paper
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (
@@ -31,6 +34,7 @@ from paper_artifact.scene.fetch import mesh_path
 from paper_artifact.scene.sources import sources
 from paper_artifact.study.dispositions import Disposition
 
+PLAN, CERTIFICATES = RESULTS / "plan" / "group_wave.json", RESULTS / "certificates"
 SEEDS_AT_2048 = range(40)  # where eight's count depends on the seed
 BAR = ["shape", "samples", "bar"]
 KINDS = {  # what the paper's quantities are of a bar
@@ -62,6 +66,60 @@ def measure_external_meshes(progress: Callable[[str], None] | None = None) -> pd
         tables.append(staircases([shape], DENSITIES[:1], SEEDS_AT_2048))
         tables.append(staircases([shape], DENSITIES[1:], SEEDS, progress))
     return pd.concat(tables, ignore_index=True)
+
+
+def plan(path: Path = PLAN) -> dict:
+    """Return the group wave's plan: pool, rule, members, runs, statistic. Raises InputError when it cannot be
+    read."""
+    return _json(path)
+
+
+def _json(path: Path) -> dict:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {path.name} ({type(error).__name__}); restore it with git") from error
+
+
+def plan_table() -> pd.DataFrame:
+    """Return the plan as rows (part, item) of text; its members one row per group."""
+    rows = {}
+    for part, items in plan().items():
+        for item, value in items.items() if isinstance(items, dict) else ((None, items),):
+            if isinstance(value, dict):
+                value = "; ".join(f"{name} (M = {each['samples']})" for name, each in value.items())
+            elif isinstance(value, list):
+                value = ", ".join(map(str, value))
+            rows[part, item or ""] = {"": value}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["part", "item"])
+
+
+def certificates(folder: Path = CERTIFICATES) -> dict[str, dict]:
+    """Return the stored certificates by key: the candidates of Table S12 that could be had, and the earlier
+    members. Raises InputError when the candidates' file cannot be read."""
+    found = {path.stem: _json(path) for path in sorted(folder.glob("*.json")) if path.stem != "candidates"}
+    candidates = _json(folder / "candidates.json")
+    return {key: each for key, each in candidates.items() if isinstance(each, dict)} | found
+
+
+def certificate_text(rows: Sequence[Disposition]) -> str:
+    """Return how many certificates of the candidates, made now, are the stored ones."""
+    stored, now = certificates(), [row for row in rows if row.certificate is not None]
+    same = [same_certificate(row.certificate.to_json(), stored.get(row.key, {})) for row in now]
+    return f"{sum(same)} of {len(now)} certificates are those in results/certificates/"
+
+
+def same_certificate(left: dict, right: dict) -> bool:
+    """Return whether two certificates (as JSON) agree, volumes to a relative 1e-9 (a machine's last bits)."""
+    volumes = [[part.get("volume") for part in each.get("components", ())] for each in (left, right)]
+    bare = [json.loads(json.dumps(each)) for each in (left, right)]
+    for each in bare:
+        for part in each.get("components", ()):
+            part["volume"] = None
+    if bare[0] != bare[1] or [each is None for each in volumes[0]] != [each is None for each in volumes[1]]:
+        return False
+    numbers = [np.array([each for each in own if each is not None]) for own in volumes]
+    return bool(np.allclose(*numbers, rtol=1e-9, atol=0))
 
 
 def table_s11(table: pd.DataFrame) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Notebooks 03, 07, 10: measurements that take too long for a notebook, kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 04, 07, 10: measurements too long for a notebook, kept in `results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -26,7 +26,19 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_external_meshes",
         "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others",
     ),
+    "windows": (
+        "measure_windows",
+        "margins of every bundle's features at the study's densities, 40 seeds, the torus's 200",
+    ),
     "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "diagrams": (
+        "measure_diagrams",
+        "every void bar of one sphere seed at the start and at four steps under C0, C1, C2 (trains them)",
+    ),
+    "deviations": (
+        "measure_deviations",
+        "the repair gate without decay, and soups sampled with another mean of their opacities",
+    ),
     "speed": (
         "measure_speed",
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",

@@ -9,11 +9,19 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from paper_artifact.alpha.gabriel import passes_gate
+from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.catalogue import SHAPES
 from paper_artifact.export.figures import new_figure
+from paper_artifact.randomness import stream
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import label_axis
-from paper_artifact.report.kit.records import Collected, key
-from paper_artifact.report.kit.text import NOT_RECORDED
+from paper_artifact.report.kit.published import published
+from paper_artifact.report.kit.records import Collected, collect_study, key
+from paper_artifact.report.kit.text import NOT_RECORDED, blank
+from paper_artifact.sampling import sample_surface
+from paper_artifact.scene.find import surface
+from paper_artifact.topology.floor import measurement_floor
 
 KINDS = {"matched": "#1f5fbf", "recruited": "#1e8449", "unreached": "#c0392b", "diagonal": "#b7950b"}
 LAST = 20  # refreshes averaged for the residual at the end: the steps of the tail, 2300 to 2500
@@ -81,6 +89,78 @@ def plan_table(collected: Collected) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis(
         ["shape", "condition"][: 2 if rows else 1]
     )
+
+
+def total_table() -> pd.DataFrame:
+    """Return over the committed records of the studies, and over all of them together, how many runs match
+    bars, their refreshes, those under plan noise, and Gabriel failures; beside what the paper's text says."""
+    rows = {name: _totals(collect_study(name).records) for name in ("table1", "table2", "bowls")}
+    rows["all"] = {name: sum(row[name] for row in rows.values()) for name in rows["table1"]}
+    table = {name: {key: str(each) for key, each in row.items()} for name, row in rows.items()}
+    printed = published("plans").set_index("quantity")["printed"]
+    table["paper, logged"] = {
+        "refreshes": f"{printed['logged_refreshes']}+",
+        "of them noisy": printed["noisy_refreshes"],
+        "Gabriel failures": printed["gabriel_failures"],
+    }
+    return blank(pd.DataFrame.from_dict(table, orient="index"))
+
+
+def _totals(records: Sequence[Mapping]) -> dict[str, int]:
+    """Return runs with a matched loss, refreshes, refreshes under plan noise, Gabriel failures."""
+    logs = [(record, log) for record in records if len(log := refresh_table(record))]
+    noisy = [len(log) for record, log in logs if record["config"]["loss"]["noise"] > 0]
+    return {
+        "runs": len(logs),
+        "refreshes": sum(len(log) for _, log in logs),
+        "of them noisy": sum(noisy),
+        "Gabriel failures": sum(int(log["gabriel_failures"].sum()) for _, log in logs),
+    }
+
+
+def gabriel_table() -> pd.DataFrame:
+    """Return per clean cloud (the analytic shapes and the cylinder, at the study's M, seed 0) how many
+    significant pairs there are and how many of them, and of all pairs, are Gabriel-exact in both simplices;
+    and how many sample positions a pair pulls on, least to most, per dimension (a component only through its
+    death edge). The last row is the paper's."""
+    rows = {}
+    for row in SHAPES:
+        if row.group not in ("analytic", "allocation"):
+            continue
+        mesh, generator = surface(row.name), stream(0, "bundle-samples")
+        points = sample_surface(mesh.vertices, mesh.faces, row.samples, generator)[0]
+        floor = measurement_floor(points, 1.0)
+        exact, significant, positions = [], [], {}
+        for dimension, pairs in enumerate(alpha_persistence(points)):
+            passing = passes_gate(points, pairs.death_simplices, pairs.deaths)
+            if dimension:
+                passing &= passes_gate(points, pairs.birth_simplices, pairs.births)
+            exact.append(passing)
+            significant.append(pairs.deaths - pairs.births > floor)
+            touched = [pairs.birth_simplices, pairs.death_simplices][0 if dimension else 1 :]
+            positions[f"positions, H{dimension}"] = _positions(np.hstack(touched))
+        exact, significant = np.concatenate(exact), np.concatenate(significant)
+        rows[row.name] = {
+            "significant pairs": str(int(significant.sum())),
+            "of them Gabriel": f"{100 * exact[significant].mean():.0f} %",
+            "all pairs": str(len(exact)),
+            "of them Gabriel ": f"{100 * exact.mean():.2f} %",
+        } | positions
+    printed = published("plans").set_index("quantity")["printed"]
+    ends = (printed["positions_per_pair_least"], printed["positions_per_pair_most"])
+    rows["paper"] = {
+        "of them Gabriel": f"{printed['gabriel_percent']} %",
+        "positions, H1": "{}–{} in all dimensions".format(*ends),
+    }
+    return blank(pd.DataFrame.from_dict(rows, orient="index", dtype=object))
+
+
+def _positions(simplices: np.ndarray) -> str:
+    """Return the least and the largest number of different samples per row of (k,m) indices."""
+    ordered = np.sort(simplices, axis=1)
+    numbers = 1 + (np.diff(ordered, axis=1) > 0).sum(axis=1)
+    least, most = int(numbers.min()), int(numbers.max())
+    return str(least) if least == most else f"{least}–{most}"
 
 
 def plan_figure(collected: Collected, panels: Panels, seed: int = 0) -> Figure:

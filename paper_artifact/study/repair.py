@@ -101,12 +101,14 @@ def repair(
     record_every: int = 10,
     seed: int = 0,
     method: str = "fast",
+    final_rate: float = FINAL_RATE,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Return the trajectory of the loss alone, with Adam on the probe's points.
 
     steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every:
-    a multiple of REFRESH_EVERY; progress: called with each step.
+    a multiple of REFRESH_EVERY; final_rate: the fraction that the learning rate decays to, 1 for none;
+    progress: called with each step.
     """
     bundle, dimension = probe.bundle, probe.dimension
     loss = TopologyLoss(
@@ -117,7 +119,7 @@ def repair(
     total = probe.steps if steps is None else steps
     # The trainer's own decay: Adam's momentum keeps a tugged point moving, so a constant rate cannot settle
     # below about one step.
-    decay = torch.optim.lr_scheduler.ExponentialLR(adam, gamma=FINAL_RATE ** (1 / max(total, 1)))
+    decay = torch.optim.lr_scheduler.ExponentialLR(adam, gamma=final_rate ** (1 / max(total, 1)))
     rows = []
     for step in range(total + 1):
         if step % record_every == 0 or step == total:
