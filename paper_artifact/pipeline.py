@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from paper_artifact.config import RunConfig
 from paper_artifact.errors import InputError
@@ -15,14 +16,22 @@ from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
 from paper_artifact.files import RESULTS
 from paper_artifact.mesh import Mesh
+from paper_artifact.randomness import stream
 from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
+from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
+
+if TYPE_CHECKING:
+    from paper_artifact.topology.importance import ImportanceField
+
+DENSE = 20_000  # points of the target surface that hold an importance field
 
 
 def make_run_term(config: RunConfig, mesh: Mesh):
@@ -37,6 +46,31 @@ def make_run_term(config: RunConfig, mesh: Mesh):
     options = {"shape": config.shape, "dimensions": loss.dimensions}
     bundle = build_from_mesh(mesh.vertices, mesh.faces, loss.samples, loss.bundle_seed, **options)
     return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
+
+
+def make_run_importance(config: RunConfig, mesh: Mesh) -> ImportanceField | None:
+    """Return the importance field of a configuration's allocation, None, importing nothing, where it has
+    none.
+
+    Random centres are drawn on the surface with the run's seed, of the same number, weights and widths (arms
+    B3, B5).
+    """
+    allocation = config.allocation
+    if allocation is None:
+        return None
+    from paper_artifact.topology.importance import feature_kernels, importance_field
+
+    generator = stream(allocation.bundle_seed, "bundle-samples")
+    points = sample_surface(mesh.vertices, mesh.faces, allocation.samples, generator)[0]
+    kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
+    if allocation.centres == "random":
+        draws = stream(config.seed, "allocation-centres")
+        kernels = [
+            each.moved(sample_surface(mesh.vertices, mesh.faces, len(each.centres), draws)[0])
+            for each in kernels
+        ]
+    dense = sample_surface(mesh.vertices, mesh.faces, DENSE, stream(0, "allocation-dense"))[0]
+    return importance_field(kernels, dense)
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
@@ -74,6 +108,8 @@ def run(
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
     term, bundle = make_run_term(config, mesh)
+    importance = make_run_importance(config, mesh)
+    allocating = importance is not None and config.allocation.levers == "resampling"
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
     cpu = time.process_time()
 
@@ -82,7 +118,15 @@ def run(
         return evaluate_soup(corners, opacity, target, config.seed, step) | {"triangles": len(soup)}
 
     state = train(
-        scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device
+        scene,
+        config,
+        term=term,
+        evaluate=evaluate,
+        checkpoint=checkpoint,
+        progress=progress,
+        device=device,
+        resampler=allocating_resampler(config, importance) if allocating else None,
+        importance=importance(scene.points) if importance is not None and not allocating else None,
     )
     holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.images[scene.holdout])
     sections = {

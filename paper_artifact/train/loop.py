@@ -20,7 +20,7 @@ from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
@@ -48,6 +48,7 @@ def train(
     progress: Callable[[int, str], None] | None = None,
     device: str = "auto",
     resampler: Resampler | None = None,
+    importance: np.ndarray | None = None,
 ) -> TrainState:
     """Train a soup on the scene's training views and return the state after the last step, the soup on the
     CPU.
@@ -62,10 +63,10 @@ def train(
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
     term = term or NoTerm()
-    resampler = resampler or Resampler(
-        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+    resampler = resampler or plain_resampler(config)
+    state = resumed_state(checkpoint, config, term, backend) or start_state(
+        scene, config, backend, importance
     )
-    state = resumed_state(checkpoint, config, term, backend) or start_state(scene, config, backend)
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
         with state.timed("optimiser"):
@@ -102,11 +103,11 @@ def train(
     return state
 
 
-def start_state(scene: Scene, config: RunConfig, backend) -> TrainState:
+def start_state(scene: Scene, config: RunConfig, backend, importance: np.ndarray | None = None) -> TrainState:
     """Return the state before the first step: a soup from the scene's cloud with `initial_ratio` times the
     budget's triangles."""
     count = max(2, round(config.initial_ratio * config.budget))
-    soup = backend.to_device(initial_soup(scene.points, count, config.seed))
+    soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
     return TrainState(0, soup, soup_optimisers(soup))
 
 
