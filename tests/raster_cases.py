@@ -6,6 +6,9 @@ import numpy as np
 import torch
 
 from paper_artifact.randomness import stream
+from paper_artifact.raster.arrays import FEATURES, MLP_SHAPES, SoupArrays
+
+BACKGROUND = np.array([1.0, 0.9, 0.8], np.float32)
 
 
 def look_at(
@@ -33,14 +36,14 @@ def front_camera(distance: float = 4.0, focal: float = 1.8) -> torch.Tensor:
 
 
 def soup(seed: int, count: int, size: float = 0.5) -> dict[str, torch.Tensor]:
-    """Return a random soup in the unit ball, float64: vertices (T,3,3), opacity (T,3), features (T,3,7)."""
+    """Return a random soup in the unit ball, float64: vertices (T,3,3), opacity (T,3), features (T,3,FEATURES)."""
     draws = stream(seed, "raster test soup")
     centres = draws.normal(size=(count, 1, 3))
     centres *= draws.uniform(size=(count, 1, 1)) ** (1 / 3) / np.linalg.norm(centres, axis=-1, keepdims=True)
     return {
         "vertices": torch.from_numpy(centres + size * draws.normal(size=(count, 3, 3)) / 2),
         "opacity": torch.from_numpy(draws.uniform(0.05, 0.95, size=(count, 3))),
-        "features": torch.from_numpy(draws.uniform(0.02, 0.98, size=(count, 3, 7))),
+        "features": torch.from_numpy(draws.uniform(0.02, 0.98, size=(count, 3, FEATURES))),
     }
 
 
@@ -54,5 +57,22 @@ def cameras(seed: int, count: int, distance: float = 4.0) -> torch.Tensor:
 def mlp(seed: int) -> tuple[torch.Tensor, ...]:
     """Return random weights of the shading MLP, float64: (w1, c1, w2, c2, w3, c3)."""
     draws = stream(seed, "raster test mlp")
-    shapes = [(16, 16), (16,), (16, 16), (16,), (3, 16), (3,)]
-    return tuple(torch.from_numpy(draws.normal(scale=0.4, size=shape)) for shape in shapes)
+    return tuple(torch.from_numpy(draws.normal(scale=0.4, size=shape)) for shape in MLP_SHAPES)
+
+
+def soup_arrays(seed: int, count: int, size: float = 0.35) -> SoupArrays:
+    """Return the random soup with a random MLP in float32, as the kernels take it."""
+    tensors = soup(seed, count, size)
+    values = (tensors["vertices"], tensors["features"], tensors["opacity"], *mlp(seed))
+    return SoupArrays.of(value.float().numpy() for value in values)
+
+
+def doubles(arrays: SoupArrays) -> list[torch.Tensor]:
+    """Return exact float64 copies of the nine arrays: vertices, features, opacity, MLP."""
+    return [torch.from_numpy(array).double() for array in arrays.flat()]
+
+
+def distance(found: np.ndarray, expected: torch.Tensor) -> float:
+    """Return the relative difference of two gradients in the Euclidean norm."""
+    assert expected.abs().max() > 0
+    return float((torch.from_numpy(found).double() - expected).norm() / expected.norm())

@@ -20,12 +20,13 @@ def test_raster_rows(tiny_scene, monkeypatch, tmp_path):
     rows = raster.raster_rows(tmp_path, repetitions=2)
     passes = {row["what"]: row for row in rows if row["ratio"] is not None}
     assert set(passes) == {
-        f"forward + backward, {name}"
-        for name in (raster.FUSED, "numba, torch functions", "twin float32", "twin float64")
+        f"forward + backward, {name}" for name in (raster.TRAINER, "twin float32", "twin float64")
     }
-    assert passes[f"forward + backward, {raster.FUSED}"]["ratio"] == 1 and all(row["ms"] > 0 for row in rows)
+    assert passes[f"forward + backward, {raster.TRAINER}"]["ratio"] == 1 and all(
+        row["ms"] > 0 for row in rows
+    )
     stages = [row["what"].split("numba: ")[1] for row in rows if row["ratio"] is None]
-    assert len(stages) == 5 and all(stage.endswith("(wall)") for stage in stages)
+    assert len(stages) == 6 and all(stage.endswith("(wall)") for stage in stages)
 
 
 def test_loss_rows(tiny_scene, monkeypatch, tmp_path):

@@ -8,7 +8,7 @@ import trimesh
 
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh
-from paper_artifact.raster.visibility import rasterize_opaque
+from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
 from paper_artifact.scene.shapes import make_shape

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
@@ -11,15 +12,18 @@ import torch
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.pipeline import prepare_scene
-from paper_artifact.raster import functions, twin
+from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
+from paper_artifact.raster.photometric import Target, make_target
+from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera, to_clip
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
-from paper_artifact.train.backend import CpuBackend
+from paper_artifact.train.backend import CpuBackend, TwinBackend
 from paper_artifact.train.loop import train
 
-FUSED = "numba, fused (the trainer's)"
+TRAINER = "numba (the trainer's)"
+BATCH = 4
 
 
 def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
@@ -29,90 +33,63 @@ def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
     return scene, train(scene, config, device="cpu").soup
 
 
-def _numba_step(
-    soup: Soup, scene: Scene, target: torch.Tensor, statistics, buffers, views, keys, seconds: dict
-) -> None:
-    def lap(stage: str) -> None:
-        nonlocal begin
-        now = time.perf_counter()
-        seconds.setdefault(stage, []).append(now - begin)
-        begin = now
-
-    begin = time.perf_counter()
-    opacity = torch.sigmoid(soup.opacity)
-    raster = functions.rasterize(
-        soup.vertices, opacity, scene.world_to_clip[views], *target.shape[2:], keys, buffers
-    )
-    lap("raster")
-    colour = functions.shade(torch.sigmoid(soup.features), soup.mlp, raster, scene.background)
-    lap("shading")
-    auxiliary = functions.opacity_gradient(opacity, colour, target, raster)
-    lap("opacity gradient")
-    colour = functions.edge_gradient(colour, soup.vertices, raster)
-    loss = functions.photometric_loss(colour, target, statistics)
-    lap("L1 + SSIM with gradient")
-    (loss + auxiliary).backward()
-    lap("backward (shading, edges)")
+def _stages(
+    view: ViewRaster, drawn: SoupArrays, camera: ViewCamera, target: Target, background: np.ndarray, key: int
+) -> dict[str, Callable[[], object]]:
+    # One view's part of the trainer's step, in its order.
+    out = SoupArrays.of(np.zeros_like(array) for array in drawn.flat())
+    return {
+        "raster": lambda: view.draw(to_clip(drawn.vertices, camera.matrix), drawn.opacity, key),
+        "shading": lambda: view.shade(drawn.features, drawn.mlp, camera.rays, background),
+        "L1 + SSIM with gradient": lambda: view.compare(target, BATCH),
+        "opacity gradient": lambda: view.add_opacity_gradient(target.image, BATCH, out.opacity),
+        "edge gradient": lambda: view.add_edge_gradient(camera.matrix, out.vertices),
+        "shading gradient": lambda: view.add_shading_gradient(drawn.mlp, out.features, out.mlp),
+    }
 
 
-def _twin_step(
-    soup: Soup, matrices: torch.Tensor, background: torch.Tensor, target: torch.Tensor, keys
-) -> None:
-    opacity = torch.sigmoid(soup.opacity)
-    raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
-    colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, background)
-    auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
-    colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
-    (twin.photometric_loss(colour, target) + auxiliary).backward()
-
-
-def _as(soup: Soup, dtype: torch.dtype) -> Soup:
-    tensors = [
-        tensor.detach().to(dtype) for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-    ]
-    return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+def _stage_seconds(scene: Scene, soup: Soup, views: np.ndarray, repetitions: int) -> dict[str, list[float]]:
+    height, width = scene.images.shape[1:3]
+    raster, drawn = ViewRaster(height, width), soup.drawn()
+    cameras = [make_camera(scene.world_to_clip[view]) for view in views]
+    targets = [make_target(scene.images[view].transpose(2, 0, 1)) for view in views]
+    seconds: dict[str, list[float]] = {}
+    for repetition in range(repetitions):
+        for view, camera, target in zip(views, cameras, targets, strict=True):
+            key = view_key(0, repetition, int(view))
+            for name, call in _stages(raster, drawn, camera, target, scene.background, key).items():
+                begin = time.perf_counter()
+                call()
+                seconds.setdefault(name, [0.0] * repetitions)[repetition] += time.perf_counter() - begin
+    return seconds
 
 
 def raster_rows(results: Path, repetitions: int = 15) -> list[dict]:
-    """Return rows {what, ms, ratio to the trainer's step}: medians of interleaved forward + backward passes, CPU time of one
-    thread."""
+    """Return rows {what, ms, ratio to the trainer's step}: medians over `repetitions` interleaved passes.
+
+    Forward + backward in CPU time of one thread; the trainer's stages in wall time (ratio None).
+    """
     scene, soup = sphere_case(results)
-    views = scene.train[np.arange(4) * len(scene.train) // 4]
-    target = torch.from_numpy(np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2)))
-    statistics, buffers = functions.target_statistics(target), functions.RasterBuffers()
-    times: dict[str, list[float]] = {
-        name: [] for name in (FUSED, "numba, torch functions", "twin float32", "twin float64")
+    views = scene.train[np.arange(BATCH) * len(scene.train) // BATCH]
+    backends = {
+        TRAINER: CpuBackend(scene, views),
+        "twin float32": TwinBackend(scene, views, "cpu", torch.float32),
+        "twin float64": TwinBackend(scene, views, "cpu", torch.float64),
     }
-    stages: dict[str, list[float]] = {}
-    copies = {"twin float32": _as(soup, torch.float32), "twin float64": _as(soup, torch.float64)}
-    trainer = CpuBackend(scene, views)
+    soups = {name: backend.to_device(soup) for name, backend in backends.items()}
+    times: dict[str, list[float]] = {name: [] for name in backends}
     for repetition in range(repetitions + 1):
         keys = [view_key(0, repetition, int(view)) for view in views]
-        for name in times:
+        for name, backend in backends.items():
             begin = time.process_time()
-            if name == FUSED:
-                trainer.photometric_step(soup, views, keys)
-            elif name in copies:
-                dtype = copies[name].vertices.dtype
-                _twin_step(
-                    copies[name],
-                    torch.from_numpy(scene.world_to_clip[views]).to(dtype),
-                    torch.as_tensor(scene.background).to(dtype),
-                    target.to(dtype),
-                    keys,
-                )
-            else:
-                _numba_step(soup, scene, target, statistics, buffers, views, keys, stages)
+            backend.photometric_step(soups[name], views, keys)
             times[name].append(time.process_time() - begin)
+    middle = {name: median(values[1:]) for name, values in times.items()}
     rows = [
-        {
-            "what": f"forward + backward, {name}",
-            "ms": 1e3 * median(values[1:]),
-            "ratio": median(values[1:]) / median(times[FUSED][1:]),
-        }
-        for name, values in times.items()
+        {"what": f"forward + backward, {name}", "ms": 1e3 * seconds, "ratio": seconds / middle[TRAINER]}
+        for name, seconds in middle.items()
     ]
     return rows + [
-        {"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values[1:]), "ratio": None}
-        for name, values in stages.items()
+        {"what": f"  numba: {name} (wall)", "ms": 1e3 * median(values), "ratio": None}
+        for name, values in _stage_seconds(scene, soup, views, repetitions).items()
     ]

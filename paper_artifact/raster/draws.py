@@ -16,6 +16,7 @@ import torch
 _MASK = 0xFFFFFFFF
 _SEED, _STEP, _VIEW, _PIXEL, _TRIANGLE = 0x9E3779B9, 0x85EBCA6B, 0xC2B2AE35, 0x9E3779B1, 0x85EBCA77
 _M1, _M2 = 0x7FEB352D, 0x846CA68B
+_UNIT = 2.0**-24  # a draw keeps 24 of the 32 bits: every one of them is a float32
 
 
 def _mix_int(x: int) -> int:
@@ -39,7 +40,7 @@ def draw(key: np.uint32, pixel: np.uint32, triangle: np.uint32) -> np.float32:
     x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(_M1))
     x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(_M2))
     x = np.uint32(x ^ (x >> np.uint32(16)))
-    return np.float32(x >> np.uint32(8)) * np.float32(1.0 / 16777216.0)
+    return np.float32(x >> np.uint32(8)) * np.float32(_UNIT)
 
 
 def draw_torch(key: int, pixel: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:
@@ -48,4 +49,4 @@ def draw_torch(key: int, pixel: torch.Tensor, triangle: torch.Tensor) -> torch.T
     x = ((x ^ (x >> 16)) * _M1) & _MASK
     x = ((x ^ (x >> 15)) * _M2) & _MASK
     x = x ^ (x >> 16)
-    return (x >> 8).to(torch.float64) / 16777216.0
+    return (x >> 8).to(torch.float64) * _UNIT

@@ -71,34 +71,8 @@ def _edge_side(
                         + coefficients[t0, 10] * (middle_column - rectangles[t0, 2])
                         + coefficients[t0, 11] * (middle_row - rectangles[t0, 0])
                     )
-                    if row0 == row1:
-                        _pull(
-                            moments,
-                            rectangles,
-                            t0,
-                            middle_column,
-                            middle_row,
-                            along,
-                            0.0,
-                            depth_pull,
-                            z,
-                            sx,
-                            sy,
-                        )
-                    else:
-                        _pull(
-                            moments,
-                            rectangles,
-                            t0,
-                            middle_column,
-                            middle_row,
-                            0.0,
-                            along,
-                            depth_pull,
-                            z,
-                            sx,
-                            sy,
-                        )
+                    ax, ay = (along, 0.0) if row0 == row1 else (0.0, along)
+                    _pull(moments, rectangles, t0, middle_column, middle_row, ax, ay, depth_pull, z, sx, sy)
         elif in_front:
             _pull(moments, rectangles, t0, middle_column, middle_row, gx, gy, 0.0, 0.0, sx, sy)
     elif in_front:
@@ -114,18 +88,21 @@ def _edge_side(
         if q2 < 0:
             crossing = min(crossing, p / (p - q2))
         crossing = max(crossing, 0.0)
-        _pull(
-            moments,
-            rectangles,
-            t0,
-            column0 + crossing * (column1 - column0),
-            row0 + crossing * (row1 - row0),
-            gx,
-            gy,
-            0.0,
-            0.0,
-            sx,
-            sy,
+        column, row = column0 + crossing * (column1 - column0), row0 + crossing * (row1 - row0)
+        _pull(moments, rectangles, t0, column, row, gx, gy, 0.0, 0.0, sx, sy)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+def _pair(triangle, depth, coefficients, rectangles, moments, p, column0, row0, q, column1, row1, gx, gy, sx, sy):
+    # Two neighbouring pixels p and q that show different triangles (or, one of them, nothing): both their views of the pair.
+    tp, tq, zp, zq = triangle[p], triangle[q], depth[p], depth[q]
+    if tp >= 0:
+        _edge_side(
+            coefficients, rectangles, moments, tp, column0, row0, zp, tq, column1, row1, zq, gx, gy, sx, sy
+        )
+    if tq >= 0:
+        _edge_side(
+            coefficients, rectangles, moments, tq, column1, row1, zq, tp, column0, row0, zp, gx, gy, sx, sy
         )
 
 
@@ -160,43 +137,25 @@ def _flush(moments, rectangles, t, row, right0, right1, right2, down0, down1, sx
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def edge_moments(triangle, depth, colour, gradient, height, width, coefficients, rectangles, moments):
+def edge_moments(surface, planes, colour, gradient, moments):
     """Add every pixel pair's pull to moments (T,12) float64 (zeroed by the caller).
 
-    triangle (H·W,) int32 (-1: nothing), depth (H·W,) float32 NDC, colour and gradient (3,H·W) float32. The same signed pull
-    serves both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts twice,
-    and the pairs of a run along a row are summed before they are added.
+    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32. The same signed pull serves
+    both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts
+    twice, and the pairs of a run along a row are summed before they are added.
     """
+    height, width = colour.shape[1], colour.shape[2]
+    triangle, depth = surface.triangle, surface.depth
+    coefficients, rectangles = planes.coefficients, planes.rectangles
+    c, g = colour.reshape(3, height * width), gradient.reshape(3, height * width)
     sx, sy = 2.0 / width, 2.0 / height
     to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
     for row in range(height):
         start = row * width
-        _adjoints(
-            colour[0],
-            colour[1],
-            colour[2],
-            gradient[0],
-            gradient[1],
-            gradient[2],
-            start,
-            1,
-            width - 1,
-            to_right,
-        )
+        _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, 1, width - 1, to_right)
         to_right[width - 1] = np.float32(0.0)
         if row + 1 < height:
-            _adjoints(
-                colour[0],
-                colour[1],
-                colour[2],
-                gradient[0],
-                gradient[1],
-                gradient[2],
-                start,
-                width,
-                width,
-                downward,
-            )
+            _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, width, width, downward)
         else:
             downward[:] = np.float32(0.0)
         current = -1
@@ -211,102 +170,34 @@ def edge_moments(triangle, depth, colour, gradient, height, width, coefficients,
                 current = tp
             if to_right[column] != 0:
                 gx = to_right[column] / sx
-                tq = triangle[p + 1]
-                if tq == tp:
+                if triangle[p + 1] == tp:
                     if tp >= 0:
                         x = column - rectangles[tp, 2] + 0.5
                         right0 += 2 * gx
                         right1 += 2 * gx * x
                         right2 += 2 * gx * x * x
                 else:
-                    if tp >= 0:
-                        _edge_side(
-                            coefficients,
-                            rectangles,
-                            moments,
-                            tp,
-                            column,
-                            row,
-                            depth[p],
-                            tq,
-                            column + 1,
-                            row,
-                            depth[p + 1],
-                            gx,
-                            0.0,
-                            sx,
-                            sy,
-                        )
-                    if tq >= 0:
-                        _edge_side(
-                            coefficients,
-                            rectangles,
-                            moments,
-                            tq,
-                            column + 1,
-                            row,
-                            depth[p + 1],
-                            tp,
-                            column,
-                            row,
-                            depth[p],
-                            gx,
-                            0.0,
-                            sx,
-                            sy,
-                        )
+                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, p + 1, column + 1, row, gx, 0.0, sx, sy)
             if downward[column] != 0:
                 gy = downward[column] / sy
                 q = p + width
-                tq = triangle[q]
-                if tq == tp:
+                if triangle[q] == tp:
                     if tp >= 0:
                         down0 += 2 * gy
                         down1 += 2 * gy * (column - rectangles[tp, 2])
                 else:
-                    if tp >= 0:
-                        _edge_side(
-                            coefficients,
-                            rectangles,
-                            moments,
-                            tp,
-                            column,
-                            row,
-                            depth[p],
-                            tq,
-                            column,
-                            row + 1,
-                            depth[q],
-                            0.0,
-                            gy,
-                            sx,
-                            sy,
-                        )
-                    if tq >= 0:
-                        _edge_side(
-                            coefficients,
-                            rectangles,
-                            moments,
-                            tq,
-                            column,
-                            row + 1,
-                            depth[q],
-                            tp,
-                            column,
-                            row,
-                            depth[p],
-                            0.0,
-                            gy,
-                            sx,
-                            sy,
-                        )
+                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, q, column, row + 1, 0.0, gy, sx, sy)
         if current >= 0:
             _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def moments_to_vertices(moments, coefficients, rectangles, matrix, vertex_gradient):
-    """Turn moments (T,12) into world-space gradients, added to vertex_gradient (T,3,3) float32; matrix (4,4) is world → clip."""
+def moments_to_vertices(moments, planes, matrix, vertex_gradient):
+    """Turn moments (T,12) into world-space gradients, added to vertex_gradient (T,3,3) float32.
+
+    matrix (4,4) float32 is world → clip.
+    """
+    coefficients, rectangles = planes.coefficients, planes.rectangles
     for t in range(moments.shape[0]):
         if rectangles[t, 0] < 0:
             continue
@@ -327,22 +218,25 @@ def moments_to_vertices(moments, coefficients, rectangles, matrix, vertex_gradie
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def opacity_backward(
-    fragments, fragment_index, fragment_value, visible, depth, colour, target, weight, opacity_gradient
-):
+def opacity_backward(count, fragments, surface, colour, target, weight, opacity_gradient):
     """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
 
-    With e = sum over channels of |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every
-    other fragment in front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
+    count: how many fragments there are; colour and target (3,H,W) float32. With e = sum over channels of
+    |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every other fragment in
+    front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
     """
-    for number in range(fragments):
+    fragment_index, fragment_value = fragments.index, fragments.value
+    visible, depth = surface.visible, surface.depth
+    size = colour.shape[1] * colour.shape[2]
+    shown, wanted = colour.reshape(3, size), target.reshape(3, size)
+    for number in range(count):
         pixel, t = fragment_index[number, 0], fragment_index[number, 1]
         if fragment_value[number, 2] > depth[pixel]:
             continue
         error = (
-            abs(colour[0, pixel] - target[0, pixel])
-            + abs(colour[1, pixel] - target[1, pixel])
-            + abs(colour[2, pixel] - target[2, pixel])
+            abs(shown[0, pixel] - wanted[0, pixel])
+            + abs(shown[1, pixel] - wanted[1, pixel])
+            + abs(shown[2, pixel] - wanted[2, pixel])
         )
         if error == 0:
             continue

@@ -7,8 +7,12 @@ Windows that see nothing but equal pixels have SSIM 1 and no gradient: only the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
+
+from paper_artifact.errors import InputError
 
 TAPS, RADIUS = 11, 5
 L1_WEIGHT, SSIM_WEIGHT = 0.8, 0.2
@@ -199,3 +203,26 @@ def photometric_view(colour, target, mean, square, views, gradient):
             absolute += total
         loss += L1_WEIGHT * absolute / (3.0 * height * width * views)
     return loss
+
+
+class Target(NamedTuple):
+    """The image that a view is compared with, and its windowed moments; see `make_target`."""
+
+    image: np.ndarray  # (3,H,W) float32 in [0,1]
+    mean: np.ndarray  # (3,H-10,W-10) float32: windowed mean of the image
+    square: np.ndarray  # (3,H-10,W-10) float32: windowed mean of its square
+
+
+def make_target(image: np.ndarray) -> Target:
+    """Return the target of an image (3,H,W) float32 in [0,1]. Raises InputError below 11×11 pixels."""
+    _, height, width = image.shape
+    if min(height, width) < TAPS:
+        raise InputError(
+            f"an image needs at least {TAPS} × {TAPS} pixels, got {height} × {width}; render it larger"
+        )
+    shape = (3, height - TAPS + 1, width - TAPS + 1)
+    target = Target(
+        np.ascontiguousarray(image, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    )
+    target_moments(*target)
+    return target

@@ -12,9 +12,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from paper_artifact.raster.arrays import FEATURES, HIDDEN, INPUTS
+
 BLOCK = 256
-FEATURES, HARMONICS, HIDDEN = 7, 9, 16
-ROWS = 2 * HIDDEN + FEATURES + HARMONICS + 3  # kept per pixel: x (16), h1 (16), h2 (16), y (3)
+_H2, _Y = INPUTS + HIDDEN, INPUTS + 2 * HIDDEN
+ROWS = _Y + 3  # kept per pixel: inputs x, hidden layers h1 and h2, outputs y
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}  # keeps NaN and infinity, so that a broken run is seen
 
 
@@ -107,36 +109,24 @@ def _harmonics(pixels, start, count, width, height, rays, x, direction):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def shade_forward(
-    pixels,
-    covered,
-    visible,
-    fragment_index,
-    fragment_value,
-    width,
-    height,
-    rays,
-    features,
-    w1,
-    c1,
-    w2,
-    c2,
-    w3,
-    c3,
-    activations,
-    colour,
-):
-    """Shade the covered pixels of one view into colour (3, H·W) float32, which comes in filled with the background.
+def shade_forward(pixels, visible, fragments, rays, features, mlp, activations, colour):
+    """Shade the covered pixels of one view into colour (3,H,W) float32, which comes in filled with the background.
 
-    features (T,3,7) float32 in [0,1]; rays (3,3) float32 (see `_harmonics`); weights as torch.nn.Linear has them.
-    activations (blocks, ROWS, BLOCK) float32 is filled for the backward pass.
+    pixels (covered,) int32, visible (H·W,) int32, fragments: see `visibility`; rays (3,3) float32 (see
+    `_harmonics`); features (T,3,7) float32 in [0,1]; mlp: six arrays, see `arrays.MLP_SHAPES`. activations
+    (blocks, ROWS, BLOCK) float32, with room for every covered pixel, is filled for the backward pass.
     """
+    fragment_index, fragment_value = fragments.index, fragments.value
+    w1, c1, w2, c2, w3, c3 = mlp
+    height, width = colour.shape[1], colour.shape[2]
+    image = colour.reshape(3, height * width)
+    covered = len(pixels)
     direction = np.empty((3, BLOCK), np.float32)
     for block in range((covered + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(BLOCK, covered - start)
         kept = activations[block]
-        x, h1, h2, y = kept[0:16], kept[16:32], kept[32:48], kept[48:51]
+        x, h1, h2, y = kept[:INPUTS], kept[INPUTS:_H2], kept[_H2:_Y], kept[_Y:ROWS]
         for p in range(count):
             fragment = visible[pixels[start + p]]
             t = fragment_index[fragment, 1]
@@ -152,7 +142,7 @@ def shade_forward(
             for p in range(count):
                 y[c, p] = _sigmoid(y[c, p])
             for p in range(count):
-                colour[c, pixels[start + p]] = x[c, p] + x[3, p] * (y[c, p] - x[c, p])
+                image[c, pixels[start + p]] = x[c, p] + x[3, p] * (y[c, p] - x[c, p])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -204,25 +194,17 @@ def _transposed(weights, delta, out, count, rows):
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade_backward(
-    pixels,
-    covered,
-    visible,
-    fragment_index,
-    fragment_value,
-    w1,
-    w2,
-    w3,
-    activations,
-    colour_gradient,
-    feature_gradient,
-    gw1,
-    gc1,
-    gw2,
-    gc2,
-    gw3,
-    gc3,
+    pixels, visible, fragments, mlp, activations, colour_gradient, feature_gradient, mlp_gradient
 ):
-    """Accumulate dL/d(features, weights, biases) of one view from colour_gradient (3, H·W) float32; all outputs float32."""
+    """Add one view's dL/d(features, MLP) to feature_gradient (T,3,7) and to the six arrays of mlp_gradient, float32.
+
+    colour_gradient (3,H,W) float32; activations as `shade_forward` left them; the rest as there.
+    """
+    fragment_index, fragment_value = fragments.index, fragments.value
+    w1, w2, w3 = mlp[0], mlp[2], mlp[4]
+    gw1, gc1, gw2, gc2, gw3, gc3 = mlp_gradient
+    incoming = colour_gradient.reshape(3, colour_gradient.shape[1] * colour_gradient.shape[2])
+    covered = len(pixels)
     d3 = np.empty((3, BLOCK), np.float32)
     d2 = np.empty((HIDDEN, BLOCK), np.float32)
     d1 = np.empty((HIDDEN, BLOCK), np.float32)
@@ -232,10 +214,10 @@ def shade_backward(
         start = block * BLOCK
         count = min(BLOCK, covered - start)
         kept = activations[block]
-        x, h1, h2, y = kept[0:16], kept[16:32], kept[32:48], kept[48:51]
+        x, h1, h2, y = kept[:INPUTS], kept[INPUTS:_H2], kept[_H2:_Y], kept[_Y:ROWS]
         for c in range(3):
             for p in range(count):
-                g[c, p] = colour_gradient[c, pixels[start + p]]
+                g[c, p] = incoming[c, pixels[start + p]]
             for p in range(count):
                 d3[c, p] = g[c, p] * x[3, p] * y[c, p] * (np.float32(1.0) - y[c, p])
         _accumulate_outer(d3, h2, count, gw3, gc3)

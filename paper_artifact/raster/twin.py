@@ -10,7 +10,7 @@ Handling Discontinuities Differentiably", ECCV 2024).
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as functional
+from torch.nn import functional
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster.twin_visibility import Raster, corner_weights, pixel_centres, rasterize, to_clip
@@ -171,7 +171,7 @@ def _pairs(
 
     A slot is view·H·W + row·W + column.
     """
-    views, height, width = triangle.shape
+    _, height, width = triangle.shape
     slot = torch.nonzero(triangle.reshape(-1))[:, 0]
     step = torch.tensor([[1, 0], [-1, 0], [0, -1], [0, 1]], device=triangle.device)
     column, row = slot % width + step[:, :1], slot // width % height + step[:, 1:]
@@ -234,7 +234,7 @@ def _vertex_gradient(
     world_to_clip: torch.Tensor,
 ) -> torch.Tensor:
     """Return the edge gradient (T,3,3) in world space; see `edge_gradient`."""
-    views, height, width = raster.triangle.shape
+    _, height, width = raster.triangle.shape
     p, q, step_x, step_y, adjoint = _pairs(colour, grad_colour, raster.triangle)
     view = p // (height * width)
     clip = to_clip(vertices, world_to_clip)

@@ -13,7 +13,7 @@ Kernels are one view each, release the GIL, and share no state: the caller may r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -23,38 +23,81 @@ from paper_artifact.raster.draws import draw
 _BUCKETS = 512
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order):
-    """Fill per-triangle coefficients and rectangles; return how many triangles can cover a pixel.
+class Planes(NamedTuple):
+    """What the set-up knows of each triangle; arrays may be longer than the soup."""
 
-    clip (V,4) float32, faces (T,3) int32 → coefficients (T,12) float32, rectangles (T,4) int32 (first row, last row,
-    first column, last column, inclusive; first row -1 where the triangle is skipped), order (T,) int32: the
-    kept triangles, nearest first (bucketed by their nearest NDC depth).
-    A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the image.
+    coefficients: np.ndarray  # (T,12) float32: see above, 3 × mu (constant, per column, per row), then depth
+    rectangles: (
+        np.ndarray
+    )  # (T,4) int32 pixels: first row, last row, first column, last column; first row -1: skipped
+    order: np.ndarray  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth)
+
+    @staticmethod
+    def room(triangles: int) -> Planes:
+        """Return uninitialised arrays for `triangles` triangles."""
+        return Planes(
+            np.empty((triangles, 12), np.float32),
+            np.empty((triangles, 4), np.int32),
+            np.empty(triangles, np.int32),
+        )
+
+
+class Fragments(NamedTuple):
+    """The fragments not behind the survivors that were drawn before them, in the order of drawing."""
+
+    index: np.ndarray  # (capacity,2) int32: pixel, triangle
+    value: np.ndarray  # (capacity,4) float32: barycentrics b0 and b1, NDC depth, alpha
+
+    @staticmethod
+    def room(capacity: int) -> Fragments:
+        """Return uninitialised arrays for `capacity` fragments."""
+        return Fragments(np.empty((capacity, 2), np.int32), np.empty((capacity, 4), np.float32))
+
+
+class Surface(NamedTuple):
+    """What is visible at each pixel (row-major index)."""
+
+    depth: np.ndarray  # (H·W,) float32 NDC, +inf where nothing is visible
+    visible: np.ndarray  # (H·W,) int32: number of the visible fragment, -1 where there is none
+    triangle: np.ndarray  # (H·W,) int32: its triangle, -1 where there is none
+    pixels: np.ndarray  # (H·W,) int32: the covered pixels in ascending order, then rubbish
+
+    @staticmethod
+    def room(size: int) -> Surface:
+        """Return uninitialised arrays for `size` pixels."""
+        return Surface(np.empty(size, np.float32), *(np.empty(size, np.int32) for _ in range(3)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def set_up_triangles(clip, height, width, planes):
+    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a pixel.
+
+    A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the
+    image.
     """
-    count = faces.shape[0]
+    coefficients, rectangles, order = planes.coefficients, planes.rectangles, planes.order
+    count = clip.shape[0]
     nearest = np.empty(count, np.float32)
     low, high = np.float32(1.0), np.float32(-1.0)
     kept = 0
     for t in range(count):
         rectangles[t, 0] = -1
-        i0, i1, i2 = faces[t, 0], faces[t, 1], faces[t, 2]
-        w0, w1, w2 = float(clip[i0, 3]), float(clip[i1, 3]), float(clip[i2, 3])
+        w0, w1, w2 = float(clip[t, 0, 3]), float(clip[t, 1, 3]), float(clip[t, 2, 3])
         if not (w0 > 0.0 and w1 > 0.0 and w2 > 0.0):
             continue
         outside = False
         for axis in range(3):
-            a0, a1, a2 = float(clip[i0, axis]), float(clip[i1, axis]), float(clip[i2, axis])
+            a0, a1, a2 = float(clip[t, 0, axis]), float(clip[t, 1, axis]), float(clip[t, 2, axis])
             if (a0 > w0 and a1 > w1 and a2 > w2) or (a0 < -w0 and a1 < -w1 and a2 < -w2):
                 outside = True
         if outside:
             continue
-        x0 = 0.5 * width * (clip[i0, 0] / w0 + 1.0) - 0.5
-        x1 = 0.5 * width * (clip[i1, 0] / w1 + 1.0) - 0.5
-        x2 = 0.5 * width * (clip[i2, 0] / w2 + 1.0) - 0.5
-        y0 = 0.5 * height * (clip[i0, 1] / w0 + 1.0) - 0.5
-        y1 = 0.5 * height * (clip[i1, 1] / w1 + 1.0) - 0.5
-        y2 = 0.5 * height * (clip[i2, 1] / w2 + 1.0) - 0.5
+        x0 = 0.5 * width * (clip[t, 0, 0] / w0 + 1.0) - 0.5
+        x1 = 0.5 * width * (clip[t, 1, 0] / w1 + 1.0) - 0.5
+        x2 = 0.5 * width * (clip[t, 2, 0] / w2 + 1.0) - 0.5
+        y0 = 0.5 * height * (clip[t, 0, 1] / w0 + 1.0) - 0.5
+        y1 = 0.5 * height * (clip[t, 1, 1] / w1 + 1.0) - 0.5
+        y2 = 0.5 * height * (clip[t, 2, 1] / w2 + 1.0) - 0.5
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if not abs(area) > 0.0:
             continue
@@ -74,7 +117,7 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
         a0, b0, c0 = (x1 * y2 - x2 * y1) * inverse, (y1 - y2) * inverse, (x2 - x1) * inverse
         a1, b1, c1 = (x2 * y0 - x0 * y2) * inverse, (y2 - y0) * inverse, (x0 - x2) * inverse
         a2, b2, c2 = (x0 * y1 - x1 * y0) * inverse, (y0 - y1) * inverse, (x1 - x0) * inverse
-        z0, z1, z2 = clip[i0, 2] / w0, clip[i1, 2] / w1, clip[i2, 2] / w2
+        z0, z1, z2 = clip[t, 0, 2] / w0, clip[t, 1, 2] / w1, clip[t, 2, 2] / w2
         coefficients[t, 0], coefficients[t, 1], coefficients[t, 2] = a0 / w0, b0 / w0, c0 / w0
         coefficients[t, 3], coefficients[t, 4], coefficients[t, 5] = a1 / w1, b1 / w1, c1 / w1
         coefficients[t, 6], coefficients[t, 7], coefficients[t, 8] = a2 / w2, b2 / w2, c2 / w2
@@ -102,27 +145,16 @@ def set_up_triangles(clip, faces, height, width, coefficients, rectangles, order
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def raster_fragments(
-    order,
-    kept,
-    coefficients,
-    rectangles,
-    opacity,
-    width,
-    key,
-    stochastic,
-    depth,
-    visible,
-    fragment_index,
-    fragment_value,
-):
-    """Draw fragments front to back; return how many there were (more than the buffers hold: call again with larger ones).
+def raster_fragments(planes, kept, opacity, width, key, stochastic, surface, fragments):
+    """Draw the first `kept` triangles of planes.order front to back; return how many fragments there were.
 
-    opacity (T,3) float32 in [0,1]. depth (H·W,) float32 must come in as +inf, visible (H·W,) int32 as -1; they go out as the
-    nearest surviving fragment's NDC depth and fragment number. Recorded are the fragments not behind the survivors seen
-    so far: fragment_index (capacity,2) int32 = pixel, triangle; fragment_value (capacity,4) float32 = b0, b1, NDC depth, alpha.
+    More than fragments hold: call again with larger arrays. opacity (T,3) float32 in [0,1]; width in pixels.
+    surface.depth must come in as +inf and surface.visible as -1; they go out as the nearest survivor's.
     A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when stochastic, else .5.
     """
+    order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
+    depth, visible = surface.depth, surface.visible
+    fragment_index, fragment_value = fragments.index, fragments.value
     capacity = fragment_index.shape[0]
     number = 0
     for k in range(kept):
@@ -186,8 +218,10 @@ def raster_fragments(
 
 
 @numba.njit(cache=True, nogil=True)
-def resolve_visibility(visible, fragment_index, triangle, pixels):
-    """Write triangle (H·W,) int32 (index, -1 where nothing is visible) and the covered pixels; return their number."""
+def resolve_visibility(surface, fragments):
+    """Write surface.triangle and the covered pixels to surface.pixels; return their number."""
+    visible, triangle, pixels = surface.visible, surface.triangle, surface.pixels
+    fragment_index = fragments.index
     covered = 0
     for pixel in range(visible.shape[0]):
         fragment = visible[pixel]
@@ -197,101 +231,3 @@ def resolve_visibility(visible, fragment_index, triangle, pixels):
             pixels[covered] = pixel
             covered += 1
     return covered
-
-
-def to_clip(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return clip-space points (V,4) float32 of corners (V,3) float32 under matrix (4,4) float32.
-
-    Summed in a fixed order: a BLAS product may choose another one on another machine.
-    """
-    clip = np.empty((len(corners), 4), np.float32)
-    for row in range(4):
-        clip[:, row] = (
-            corners[:, 0] * matrix[row, 0]
-            + corners[:, 1] * matrix[row, 1]
-            + corners[:, 2] * matrix[row, 2]
-            + matrix[row, 3]
-        )
-    return clip
-
-
-@dataclass
-class ViewRaster:
-    """One view's raster and its reusable buffers (see the kernels for each array's meaning)."""
-
-    height: int
-    width: int
-    coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 12), np.float32))
-    rectangles: np.ndarray = field(default_factory=lambda: np.empty((0, 4), np.int32))
-    order: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
-    fragments: int = 0
-    covered: int = 0
-
-    def __post_init__(self) -> None:
-        size = self.height * self.width
-        self.depth = np.empty(size, np.float32)
-        self.visible = np.empty(size, np.int32)
-        self.triangle = np.empty(size, np.int32)
-        self.pixels = np.empty(size, np.int32)
-        self._grow(3 * size)
-
-    def _grow(self, capacity: int) -> None:
-        self.fragment_index = np.empty((capacity, 2), np.int32)
-        self.fragment_value = np.empty((capacity, 4), np.float32)
-
-    def draw(self, clip: np.ndarray, faces: np.ndarray, opacity: np.ndarray, key: int | None) -> "ViewRaster":
-        """Raster `faces` (T,3) int32 over `clip` (V,4) float32 with opacity (T,3) float32; key None: threshold .5. Returns
-        self."""
-        count = faces.shape[0]
-        if self.order.shape[0] < count:
-            room = count + count // 4
-            self.coefficients = np.empty((room, 12), np.float32)
-            self.rectangles = np.empty((room, 4), np.int32)
-            self.order = np.empty(room, np.int32)
-        kept = set_up_triangles(
-            clip, faces, self.height, self.width, self.coefficients, self.rectangles, self.order
-        )
-        while True:
-            self.depth.fill(np.inf)
-            self.visible.fill(-1)
-            self.fragments = raster_fragments(
-                self.order,
-                kept,
-                self.coefficients,
-                self.rectangles,
-                opacity,
-                self.width,
-                np.uint32(key or 0),
-                key is not None,
-                self.depth,
-                self.visible,
-                self.fragment_index,
-                self.fragment_value,
-            )
-            if self.fragments <= self.fragment_index.shape[0]:
-                break
-            self._grow(self.fragments + self.fragments // 4)
-        self.covered = resolve_visibility(self.visible, self.fragment_index, self.triangle, self.pixels)
-        return self
-
-
-def rasterize_opaque(clip: np.ndarray, faces: np.ndarray, height: int, width: int):
-    """Nearest-surface raster of an opaque mesh: (triangle, b0, b1, depth), each (height, width).
-
-    clip (V,4) float32 clip-space vertices, faces (T,3) int32. triangle int32 is 0 where nothing is hit, else index + 1;
-    b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is hit); depth float32 is NDC z
-    (+inf where nothing is hit).
-    """
-    faces = np.ascontiguousarray(faces, np.int32)
-    view = ViewRaster(height, width)
-    view.draw(np.ascontiguousarray(clip, np.float32), faces, np.ones((len(faces), 3), np.float32), None)
-    hit = view.visible >= 0
-    values = np.zeros((height * width, 2), np.float32)
-    values[hit] = view.fragment_value[view.visible[hit], :2]
-    shape = (height, width)
-    return (
-        (view.triangle + 1).reshape(shape),
-        values[:, 0].reshape(shape),
-        values[:, 1].reshape(shape),
-        view.depth.reshape(shape),
-    )

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
-from paper_artifact.raster.visibility import rasterize_opaque, to_clip
+from paper_artifact.raster.view import rasterize_opaque, to_clip
 from paper_artifact.scene.cameras import Camera, look_at, world_to_clip
 
 MATERIAL = (0.86, 0.84, 0.80)  # neutral, RGB in [0,1]

@@ -6,7 +6,7 @@ import numpy as np
 
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh
-from paper_artifact.raster.visibility import rasterize_opaque
+from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, world_to_clip
 from paper_artifact.scene.texture import mesh_texture
 

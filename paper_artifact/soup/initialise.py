@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
+from paper_artifact.raster.arrays import FEATURES
 from paper_artifact.soup.state import Soup, initial_mlp
 
 RANDOM_PART = 1.0 / 3.0  # DiffSoup takes 10,000 farthest points and 5,000 random ones
@@ -81,7 +82,7 @@ def initial_soup(points: np.ndarray, count: int, seed: int, importance: np.ndarr
     corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
     return Soup(
         torch.from_numpy(corners.astype(np.float32)),
-        torch.zeros(count, 3, 7),
+        torch.zeros(count, 3, FEATURES),
         torch.zeros(count, 3),
         initial_mlp(seed),
     ).trainable()

@@ -17,7 +17,7 @@ import torch
 from paper_artifact.config import RunConfig
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import run_jobs
-from paper_artifact.raster.visibility import ViewRaster, to_clip
+from paper_artifact.raster.view import ViewRaster, to_clip
 from paper_artifact.soup.split import bisected, split_long_edges
 from paper_artifact.soup.state import Soup
 
@@ -150,14 +150,13 @@ def plain_resampler(config: RunConfig) -> Resampler:
 
 
 def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return per view and triangle the number of pixels (n,T) int64 in which the triangle is visible at the
-    threshold .5."""
-    corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32).reshape(-1, 3)
-    faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    opacity = soup.corner_opacity()
+    """Return per view and triangle the number of pixels (n,T) int64 in which it is visible at the threshold
+    .5."""
+    drawn = soup.drawn()
 
     def job(index: int) -> np.ndarray:
-        view = ViewRaster(height, width).draw(to_clip(corners, world_to_clip[index]), faces, opacity, None)
-        return np.bincount(view.triangle[view.pixels[: view.covered]], minlength=len(faces))
+        view = ViewRaster(height, width)
+        view.draw(to_clip(drawn.vertices, world_to_clip[index]), drawn.opacity, None)
+        return view.visible_pixels(len(soup))
 
     return np.stack(run_jobs(job, len(world_to_clip)))

@@ -16,8 +16,7 @@ import torch
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
 from paper_artifact.randomness import stream
-
-MLP_SHAPES = ((16, 16), (16,), (16, 16), (16,), (3, 16), (3,))
+from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,13 @@ class Soup:
             tensor.requires_grad_(True)
         return self
 
+    def drawn(self) -> SoupArrays:
+        """Return what the CPU rasterizer draws: features and opacity through the sigmoid, the rest as it
+        is."""
+        with torch.no_grad():
+            values = (self.vertices, torch.sigmoid(self.features), torch.sigmoid(self.opacity), *self.mlp)
+            return SoupArrays.of(np.ascontiguousarray(value.cpu().numpy(), np.float32) for value in values)
+
     def corner_opacity(self) -> np.ndarray:
         """Return the corners' opacities (T,3) float32 in [0,1]."""
         return torch.sigmoid(self.opacity.detach()).cpu().numpy()
@@ -63,7 +69,7 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
             tensors.append(torch.zeros(shape))
             continue
         outputs, inputs = shape
-        bound = np.sqrt(6.0 / inputs) if outputs == 16 else np.sqrt(6.0 / (inputs + outputs))
+        bound = np.sqrt(6.0 / inputs) if outputs == HIDDEN else np.sqrt(6.0 / (inputs + outputs))
         tensors.append(torch.from_numpy(draws.uniform(-bound, bound, shape).astype(np.float32)))
     return tuple(tensors)
 
@@ -100,7 +106,7 @@ def load_soup(path: Path | str) -> Soup:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]
     count = shapes[0][0] if shapes[0] else 0
-    if count == 0 or shapes != [(count, 3, 3), (count, 3, 7), (count, 3), *MLP_SHAPES]:
+    if count == 0 or shapes != [(count, 3, 3), (count, 3, FEATURES), (count, 3), *MLP_SHAPES]:
         raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
     if not all(torch.isfinite(tensor).all() for tensor in (*tensors, *mlp)):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")

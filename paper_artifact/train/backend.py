@@ -10,22 +10,21 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.raster import functions
-from paper_artifact.raster.fused import FusedStep
+from paper_artifact.raster.photometric import make_target
+from paper_artifact.raster.step import PhotometricStep
+from paper_artifact.raster.view import make_camera
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 
 
 class CpuBackend:
-    """Numba kernels; targets are kept planar with their SSIM statistics, float32."""
+    """Numba kernels; the targets' SSIM statistics are kept."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
-        self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = np.ascontiguousarray(scene.images[views].transpose(0, 3, 1, 2), np.float32)
-        self._statistics = functions.target_statistics(torch.from_numpy(self._targets))
-        self._matrices = np.ascontiguousarray(scene.world_to_clip, np.float32)
-        self._rays = functions.camera_rays(self._matrices)
-        self._step = FusedStep(*self._targets.shape[2:], scene.background)
+        self._targets = {int(view): make_target(scene.images[view].transpose(2, 0, 1)) for view in views}
+        self._cameras = {int(view): make_camera(scene.world_to_clip[view]) for view in views}
+        _, height, width, _ = scene.images.shape
+        self._step = PhotometricStep(height, width, scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
         """Return the soup itself: it lives on the CPU."""
@@ -35,25 +34,16 @@ class CpuBackend:
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
         """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw key each."""
-        rows = [self._row[int(view)] for view in views]
-        with torch.no_grad():
-            features, opacity = torch.sigmoid(soup.features), torch.sigmoid(soup.opacity)
-            loss, gradients = self._step(
-                soup.vertices.numpy(),
-                features.numpy(),
-                opacity.numpy(),
-                tuple(each.numpy() for each in soup.mlp),
-                self._matrices[views],
-                self._rays[views],
-                [self._targets[row] for row in rows],
-                [tuple(each[row] for each in self._statistics) for row in rows],
-                keys,
-            )
-            soup.vertices.grad = torch.from_numpy(gradients.vertices)
-            soup.features.grad = torch.from_numpy(gradients.features).mul_(features * (1 - features))
-            soup.opacity.grad = torch.from_numpy(gradients.opacity).mul_(opacity * (1 - opacity))
-            for tensor, gradient in zip(soup.mlp, gradients.mlp):
-                tensor.grad = torch.from_numpy(gradient)
+        drawn = soup.drawn()
+        cameras = [self._cameras[int(view)] for view in views]
+        targets = [self._targets[int(view)] for view in views]
+        loss, gradients = self._step(drawn, cameras, targets, keys)
+        for value, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
+            sigmoid = torch.from_numpy(value)
+            torch.from_numpy(gradient).mul_(sigmoid * (1 - sigmoid))
+        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+        for tensor, gradient in zip(tensors, gradients.flat(), strict=True):
+            tensor.grad = torch.from_numpy(gradient)
         return loss
 
 
@@ -108,7 +98,7 @@ def check_device(device: str) -> None:
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray):
+def backend_for(device: str, scene: Scene, views: np.ndarray) -> CpuBackend | TwinBackend:
     """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():

@@ -56,8 +56,9 @@ def train(
     term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a
     dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
     start when it belongs to the same configuration. progress(step, text) is called after each step. device:
-    "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when a loss or the soup stops being
-    finite, InputError for a scene without training views or a foreign checkpoint.
+    "cpu", "cuda" or "auto" (cuda when there is one). resampler: None for DiffSoup's own. importance: of the
+    scene's points (n,), for the choice of the first triangles. Raises TrainingError when a loss or the soup
+    stops being finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")

@@ -1,0 +1,181 @@
+"""One view of a soup on the CPU, from corners to gradients: the only place that calls the numba kernels.
+
+Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`, `edges`);
+`step.PhotometricStep` runs them in order for a batch, and the tests hold each to the twin in plain torch (`twin`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from paper_artifact.raster import edges, photometric, shading, visibility
+from paper_artifact.raster.arrays import SoupArrays
+from paper_artifact.raster.photometric import Target
+from paper_artifact.raster.visibility import Fragments, Planes, Surface
+
+
+class ViewCamera(NamedTuple):
+    """A camera as the kernels take it; see `make_camera`."""
+
+    matrix: np.ndarray  # (4,4) float32, world → clip, w the depth in front of the camera
+    rays: (
+        np.ndarray
+    )  # (3,3) float32 rows r0, rx, ry: r0 + rx·ndc_x + ry·ndc_y points to the camera (world, not unit)
+
+
+def make_camera(world_to_clip: np.ndarray) -> ViewCamera:
+    """Return the camera of a matrix world_to_clip (4,4).
+
+    The rays follow from its rows x, y, w: at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x, ndc_y, 1).
+    """
+    matrix = np.ascontiguousarray(world_to_clip, np.float32)
+    inverse = -np.linalg.inv(matrix[[0, 1, 3], :3].astype(np.float64))
+    return ViewCamera(matrix, np.ascontiguousarray(inverse.T[[2, 0, 1]], np.float32))
+
+
+def to_clip(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return clip-space points (…,4) float32 of points (…,3) float32 under matrix (4,4) float32.
+
+    Summed in a fixed order: a BLAS product may choose another one on another machine.
+    """
+    x, y, z = points.reshape(-1, 3).T
+    clip = np.empty((len(x), 4), np.float32)
+    for row in range(4):
+        clip[:, row] = x * matrix[row, 0] + y * matrix[row, 1] + z * matrix[row, 2] + matrix[row, 3]
+    return clip.reshape(*points.shape[:-1], 4)
+
+
+class ViewRaster:
+    """One view and its buffers, to be used again and again.
+
+    A training step calls `render`, `compare`, and then the three `add_…_gradient`; `draw` alone is enough to know
+    what is visible. What a method leaves in the arrays is valid until it is called again.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        """Make the buffers for images of height × width pixels."""
+        size = height * width
+        self.height, self.width = height, width
+        self.planes = Planes.room(0)
+        self.fragments = Fragments.room(3 * size)
+        self.count = 0  # of fragments
+        self.surface = Surface.room(size)
+        self.pixels = self.surface.pixels[:0]  # the covered ones
+        # Memory that is never written costs nothing: whoever only draws pays for no more.
+        self.colour = np.empty((3, height, width), np.float32)
+        self.gradient = np.empty((3, height, width), np.float32)  # dL/dcolour
+        self._activations = np.empty((-(-size // shading.BLOCK), shading.ROWS, shading.BLOCK), np.float32)
+
+    def draw(self, clip: np.ndarray, opacity: np.ndarray, key: int | None) -> ViewRaster:
+        """Find what is visible; return self.
+
+        clip (T,3,4) float32 clip-space corners, opacity (T,3) float32 in [0,1]; key: `draws.view_key` for stochastic
+        masking, None for the threshold .5. Fills planes, fragments, surface and pixels.
+        """
+        triangles = len(clip)
+        if len(self.planes.order) < triangles:
+            self.planes = Planes.room(triangles + triangles // 4)
+        kept = visibility.set_up_triangles(clip, self.height, self.width, self.planes)
+        while True:
+            self.surface.depth.fill(np.inf)
+            self.surface.visible.fill(-1)
+            self.count = visibility.raster_fragments(
+                self.planes,
+                kept,
+                opacity,
+                self.width,
+                np.uint32(key or 0),
+                key is not None,
+                self.surface,
+                self.fragments,
+            )
+            if self.count <= len(self.fragments.index):
+                break
+            self.fragments = Fragments.room(self.count + self.count // 4)
+        covered = visibility.resolve_visibility(self.surface, self.fragments)
+        self.pixels = self.surface.pixels[:covered]
+        return self
+
+    def shade(
+        self, features: np.ndarray, mlp: tuple[np.ndarray, ...], rays: np.ndarray, background: np.ndarray
+    ) -> np.ndarray:
+        """Return colour (3,H,W) float32 in [0,1] of what was drawn, over background (3,).
+
+        features, mlp: see `SoupArrays`; rays: see `ViewCamera`.
+        """
+        self.colour[:] = np.asarray(background, np.float32)[:, None, None]
+        shading.shade_forward(
+            self.pixels,
+            self.surface.visible,
+            self.fragments,
+            rays,
+            features,
+            mlp,
+            self._activations,
+            self.colour,
+        )
+        return self.colour
+
+    def render(
+        self, soup: SoupArrays, camera: ViewCamera, background: np.ndarray, key: int | None = None
+    ) -> np.ndarray:
+        """Draw and shade a soup; return colour (3,H,W) float32. key: see `draw`; background (3,) in [0,1]."""
+        self.draw(to_clip(soup.vertices, camera.matrix), soup.opacity, key)
+        return self.shade(soup.features, soup.mlp, camera.rays, background)
+
+    def compare(self, target: Target, views: int) -> float:
+        """Return the view's share of the loss of a batch of `views` views; fills gradient with its dL/dcolour.
+
+        The loss is .8·mean|target - colour| + .2·½(1 - SSIM), see `photometric`.
+        """
+        return photometric.photometric_view(self.colour, *target, views, self.gradient)
+
+    def add_opacity_gradient(self, image: np.ndarray, views: int, out: np.ndarray) -> None:
+        """Add DiffSoup's masking gradient to out (T,3) float32; image (3,H,W) is the target's."""
+        weight = np.float32(1.0 / (views * self.colour.size))
+        edges.opacity_backward(self.count, self.fragments, self.surface, self.colour, image, weight, out)
+
+    def add_edge_gradient(self, matrix: np.ndarray, out: np.ndarray) -> None:
+        """Add the edge gradient of `gradient` to out (T,3,3) float32, world; matrix: see `ViewCamera`."""
+        moments = np.zeros((len(out), 12), np.float64)
+        edges.edge_moments(self.surface, self.planes, self.colour, self.gradient, moments)
+        edges.moments_to_vertices(moments, self.planes, matrix, out)
+
+    def add_shading_gradient(
+        self, mlp: tuple[np.ndarray, ...], features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
+    ) -> None:
+        """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; mlp as shaded."""
+        shading.shade_backward(
+            self.pixels,
+            self.surface.visible,
+            self.fragments,
+            mlp,
+            self._activations,
+            self.gradient,
+            features_out,
+            mlp_out,
+        )
+
+    def visible_pixels(self, triangles: int) -> np.ndarray:
+        """Return in how many pixels each of the drawn `triangles` is visible, (T,) int64."""
+        return np.bincount(self.surface.triangle[self.pixels], minlength=triangles)
+
+
+def rasterize_opaque(
+    clip: np.ndarray, faces: np.ndarray, height: int, width: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nearest surface of an opaque mesh: (triangle, b0, b1, depth), each (height, width).
+
+    clip (V,4) float32 clip-space vertices, faces (T,3) integer. triangle int32 is 0 where nothing is hit, else
+    index + 1; b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is hit); depth
+    float32 is NDC z (+inf where nothing is hit).
+    """
+    corners = np.ascontiguousarray(clip[faces], np.float32)
+    view = ViewRaster(height, width).draw(corners, np.ones((len(faces), 3), np.float32), None)
+    barycentrics = np.zeros((2, height * width), np.float32)
+    barycentrics[:, view.pixels] = view.fragments.value[view.surface.visible[view.pixels], :2].T
+    images = (view.surface.triangle + 1, *barycentrics, view.surface.depth)
+    triangle, b0, b1, depth = (image.reshape(height, width) for image in images)
+    return triangle, b0, b1, depth

@@ -1,0 +1,273 @@
+"""The trainer's CPU step against the double-precision twin: by values, by finite differences, and by expectation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from paper_artifact.randomness import stream
+from paper_artifact.raster import twin
+from paper_artifact.raster.arrays import SoupArrays
+from paper_artifact.raster.draws import view_key
+from paper_artifact.raster.photometric import make_target
+from paper_artifact.raster.step import PhotometricStep
+from paper_artifact.raster.threads import set_thread_count, thread_count
+from paper_artifact.raster.view import ViewRaster, make_camera, to_clip
+from paper_artifact.scene.load import Scene
+from paper_artifact.soup.state import Soup
+from paper_artifact.train.backend import CpuBackend
+from tests.raster_cases import BACKGROUND, cameras, distance, doubles, soup_arrays
+
+HEIGHT, WIDTH, BATCH = 45, 62, 3
+NAMES = ("vertices", "features", "opacity", "w1", "c1", "w2", "c2", "w3", "c3")
+ODD_SIZES = [(22, 23), (23, 67), (67, 22), (31, 33), (64, 45)]
+
+
+class Case(NamedTuple):
+    """A soup before targets, with everything that both paths take."""
+
+    soup: SoupArrays
+    matrices: np.ndarray  # (B,4,4) float32
+    images: np.ndarray  # (B,3,H,W) float32
+    keys: list[int]
+
+    def step(self, step: PhotometricStep | None = None) -> tuple[float, SoupArrays]:
+        """Return the loss and its gradients by the kernels."""
+        step = step or PhotometricStep(*self.images.shape[2:], BACKGROUND)
+        targets = [make_target(image) for image in self.images]
+        return step(self.soup, [make_camera(matrix) for matrix in self.matrices], targets, self.keys)
+
+    def raster(self) -> twin.Raster:
+        """Return what the twin sees."""
+        vertices, _, opacity, *_ = doubles(self.soup)
+        matrices = torch.from_numpy(self.matrices).double()
+        return twin.rasterize(vertices, opacity, matrices, *self.images.shape[2:], self.keys)
+
+    def flips(self) -> int:
+        """Return the number of pixels where rounding lets another triangle win than in the twin."""
+        seen = self.raster().triangle.numpy()
+        view, count = ViewRaster(*self.images.shape[2:]), 0
+        for index, matrix in enumerate(self.matrices):
+            view.draw(to_clip(self.soup.vertices, matrix), self.soup.opacity, self.keys[index])
+            count += int((view.surface.triangle.reshape(seen[index].shape) + 1 != seen[index]).sum())
+        return count
+
+    def twin_loss(self, leaves: list[torch.Tensor], raster: twin.Raster) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the twin's loss and the term of value 0 that carries the opacity gradient."""
+        vertices, features, opacity, *weights = leaves
+        matrices, images = torch.from_numpy(self.matrices).double(), torch.from_numpy(self.images).double()
+        background = torch.from_numpy(BACKGROUND).double()
+        colour = twin.shade(features, tuple(weights), raster, matrices, background)
+        auxiliary = twin.opacity_gradient(opacity, colour.detach(), images, raster)
+        colour = twin.edge_gradient(colour, vertices, raster, matrices)
+        return twin.photometric_loss(colour, images), auxiliary
+
+
+def make_case(
+    seed: int = 3, triangles: int = 60, size: tuple[int, int] = (HEIGHT, WIDTH), views: int = BATCH
+) -> Case:
+    images = stream(seed, "photometric step targets").random((views, 3, *size), dtype=np.float32)
+    matrices = cameras(seed, views).numpy().astype(np.float32)
+    keys = [view_key(seed, 5, index) for index in range(views)]
+    return Case(soup_arrays(seed, triangles, size=0.5), matrices, images, keys)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    return make_case()
+
+
+@pytest.fixture
+def two_threads():
+    before = thread_count()
+    set_thread_count(2)
+    yield
+    set_thread_count(before)
+
+
+def check_against_twin(case: Case) -> None:
+    loss, gradients = case.step()
+    leaves = [leaf.requires_grad_() for leaf in doubles(case.soup)]
+    expected, auxiliary = case.twin_loss(leaves, case.raster())
+    (expected + auxiliary).backward()
+    assert loss == pytest.approx(expected.item(), rel=1e-5)
+    for name, gradient, leaf in zip(NAMES, gradients.flat(), leaves, strict=True):
+        assert gradient.dtype == np.float32
+        assert distance(gradient, leaf.grad) < 1e-4, name
+
+
+@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), *ODD_SIZES])
+def test_loss_and_gradients_are_the_twins(size):
+    case = make_case(seed=sum(size), size=size)
+    assert case.flips() == 0
+    check_against_twin(case)
+
+
+@settings(max_examples=15, deadline=None, derandomize=True, database=None)
+@given(
+    seed=st.integers(10, 10**6),
+    triangles=st.integers(5, 200),
+    height=st.integers(22, 67),
+    width=st.integers(22, 67),
+    views=st.integers(1, 4),
+)
+def test_any_soup_at_any_size_has_the_twins_loss_and_gradients(seed, triangles, height, width, views):
+    case = make_case(seed, triangles, (height, width), views)
+    assume(case.flips() == 0)
+    check_against_twin(case)
+
+
+@pytest.mark.parametrize("size", ODD_SIZES)
+def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
+    case = make_case(seed=sum(size), size=size)
+    assert case.flips() == 0
+    _, gradients = case.step()
+    values, raster = doubles(case.soup), case.raster()
+    draws = stream(4, "photometric step directions")
+    for index, name in enumerate(NAMES):
+        if name in ("vertices", "opacity"):  # what is seen jumps with them: see the tests below
+            continue
+        for _ in range(3):
+            direction = torch.from_numpy(draws.normal(size=values[index].shape))
+            losses = []
+            for shift in (1e-6, -1e-6):
+                moved = [*values[:index], values[index] + shift * direction, *values[index + 1 :]]
+                losses.append(case.twin_loss(moved, raster)[0].item())
+            difference = (losses[0] - losses[1]) / 2e-6
+            gradient = torch.from_numpy(gradients.flat()[index]).double()
+            scale = float(gradient.norm() * direction.norm())
+            assert float((gradient * direction).sum()) == pytest.approx(difference, abs=1e-4 * scale), name
+
+
+def flat_soup(vertices: np.ndarray, colours: np.ndarray, opacity: np.ndarray) -> SoupArrays:
+    """Return triangles of one colour each: blend 0 leaves the MLP out. vertices (T,3,3), colours (T,3), opacity (T,3)."""
+    soup = soup_arrays(0, len(vertices))
+    features = np.zeros_like(soup.features)
+    features[..., :3] = colours[:, None]
+    return soup._replace(
+        vertices=vertices.astype(np.float32), features=features, opacity=opacity.astype(np.float32)
+    )
+
+
+def test_opacity_gradients_are_on_average_the_finite_differences_of_the_expected_error():
+    """Over the draws, mean |colour - target| is a sum over fragments of the chance that each is the one seen.
+
+    Its derivative by central differences, in float64, is what the masking gradient must give on average.
+    """
+    size, repetitions = (22, 23), 600
+    draws = stream(6, "masking gradient")
+    colours, opacity = draws.random((6, 3)), draws.uniform(0.2, 0.8, (6, 3))
+    soup = flat_soup(soup_arrays(6, 6, size=1.2).vertices, colours, opacity)
+    matrix, image = cameras(6, 1).numpy().astype(np.float32), draws.random((1, 3, *size), dtype=np.float32)
+    case = Case(soup, matrix, image, [0])
+    raster = case.raster()
+    order = torch.argsort(raster.fragment_depth).tolist()
+    pixels, triangles = raster.fragment_pixel.tolist(), raster.fragment_triangle.tolist()
+    b0, b1 = raster.fragment_b0.numpy(), raster.fragment_b1.numpy()
+    wanted = image[0].reshape(3, -1).T.astype(np.float64)
+    colours = soup.features[:, 0, :3].astype(np.float64)
+
+    def expected_error(opacity: np.ndarray) -> float:
+        unseen, total = np.ones(len(wanted)), 0.0
+        for fragment in order:
+            pixel, triangle = pixels[fragment], triangles[fragment]
+            weights = (b0[fragment], b1[fragment], 1 - b0[fragment] - b1[fragment])
+            alpha = float(weights @ opacity[triangle])
+            total += unseen[pixel] * alpha * np.abs(colours[triangle] - wanted[pixel]).sum()
+            unseen[pixel] *= 1 - alpha
+        total += float(unseen @ np.abs(BACKGROUND - wanted).sum(1))
+        return total / wanted.size
+
+    step = PhotometricStep(*size, BACKGROUND)
+    found = np.stack(
+        [case._replace(keys=[view_key(1, k, 0)]).step(step)[1].opacity for k in range(repetitions)]
+    ).astype(np.float64)
+    value, error = found.mean(0), found.std(0) / np.sqrt(repetitions)
+    expected, base = np.zeros((6, 3)), soup.opacity.astype(np.float64)
+    for index in np.ndindex(6, 3):
+        shift = np.zeros((6, 3))
+        shift[index] = 1e-4
+        expected[index] = (expected_error(base + shift) - expected_error(base - shift)) / 2e-4
+    assert np.abs(expected).max() > 10 * error.max()
+    assert (np.abs(value - expected) <= 5 * error + 1e-9).all()
+
+
+def test_a_step_is_its_stages_one_after_another(case):
+    loss, gradients = case.step()
+    losses, parts = [], []
+    for matrix, image, key in zip(case.matrices, case.images, case.keys, strict=True):
+        view, camera, target = ViewRaster(HEIGHT, WIDTH), make_camera(matrix), make_target(image)
+        out = SoupArrays.of(np.zeros_like(array) for array in case.soup.flat())
+        view.render(case.soup, camera, BACKGROUND, key)
+        losses.append(view.compare(target, BATCH))
+        view.add_shading_gradient(case.soup.mlp, out.features, out.mlp)
+        view.add_edge_gradient(matrix, out.vertices)
+        view.add_opacity_gradient(image, BATCH, out.opacity)
+        parts.append(out.flat())
+    assert loss == sum(losses)
+    for name, gradient, views in zip(NAMES, gradients.flat(), zip(*parts, strict=True), strict=True):
+        assert np.abs(gradient).max() > 0 and np.array_equal(gradient, np.stack(views).sum(0)), name
+
+
+def same(one: tuple[float, SoupArrays], two: tuple[float, SoupArrays]) -> bool:
+    return one[0] == two[0] and all(
+        np.array_equal(a, b) for a, b in zip(one[1].flat(), two[1].flat(), strict=True)
+    )
+
+
+def test_a_step_object_keeps_nothing_from_one_call_to_the_next(case):
+    step = PhotometricStep(HEIGHT, WIDTH, BACKGROUND)
+    first = case.step(step)
+    make_case(triangles=9).step(step)
+    make_case(triangles=90, views=1).step(step)
+    assert same(case.step(step), first)
+
+
+def test_one_and_two_threads_give_the_same_bits(case, two_threads):
+    two = case.step()
+    set_thread_count(1)
+    assert same(case.step(), two)
+
+
+def backend_of(case: Case) -> CpuBackend:
+    """Return the backend of a scene of four views, of which the case's three, in this order, are views 3, 0 and 2."""
+    order = [3, 0, 2]
+    images, matrices = np.zeros((4, HEIGHT, WIDTH, 3), np.float32), np.tile(case.matrices[:1], (4, 1, 1))
+    images[order], matrices[order] = case.images.transpose(0, 2, 3, 1), case.matrices
+    fields = {"images": images, "world_to_clip": matrices, "background": BACKGROUND}
+    scene = Scene(**{name: fields.get(name) for name in Scene.__dataclass_fields__})
+    return CpuBackend(scene, np.array([0, 2, 3]))
+
+
+def test_the_cpu_backend_sets_the_soups_gradients(case):
+    vertices, features, opacity, *weights = (torch.from_numpy(array) for array in case.soup.flat())
+    soup = Soup(vertices, torch.logit(features), torch.logit(opacity), tuple(weights)).trainable()
+    tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+    loss = backend_of(case).photometric_step(soup, np.array([3, 0, 2]), case.keys)
+    drawn = case._replace(soup=soup.drawn())
+    expected_loss, gradients = drawn.step()
+    assert loss == expected_loss
+    logits = [tensor.detach().clone().requires_grad_() for tensor in (soup.features, soup.opacity)]
+    for logit, gradient in zip(logits, (gradients.features, gradients.opacity), strict=True):
+        torch.sigmoid(logit).backward(torch.from_numpy(gradient))
+    expected = [torch.from_numpy(array) for array in gradients.flat()]
+    expected[1:3] = [logit.grad for logit in logits]
+    for name, tensor, gradient in zip(NAMES, tensors, expected, strict=True):
+        if name in ("features", "opacity"):  # the sigmoid's derivative is formed in another order
+            torch.testing.assert_close(
+                tensor.grad, gradient, rtol=1e-6, atol=1e-6 * float(gradient.abs().max())
+            )
+        else:
+            assert torch.equal(tensor.grad, gradient), name
+
+
+def test_clip_space_points_are_the_matrix_product():
+    corners = stream(0, "clip test corners").normal(size=(5, 10, 3)).astype(np.float32)
+    matrix = cameras(1, 1)[0].numpy()
+    expected = np.concatenate([corners, np.ones((5, 10, 1))], axis=-1) @ matrix.T
+    np.testing.assert_allclose(to_clip(corners, matrix.astype(np.float32)), expected, rtol=1e-5, atol=1e-5)
