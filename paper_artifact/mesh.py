@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import warnings
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import numpy as np
 import trimesh
 
 from paper_artifact.errors import InputError
+from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
@@ -20,20 +22,16 @@ AREA_FLOOR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh in world units.
+    """A triangle mesh in world units."""
 
-    vertices (V,3) float64 world positions; faces (F,3) int64 vertex indices, counter-clockwise seen from outside;
-    `betti` is (b0, b1, b2) of the surface where it is known by construction, else None.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    name: str
-    betti: tuple[int, int, int] | None = None
+    vertices: np.ndarray  # (V,3) float64 positions, world units
+    faces: np.ndarray  # (F,3) int64 vertex indices, counter-clockwise seen from outside
+    name: str  # for messages and file names
+    betti: tuple[int, int, int] | None = None  # (b0, b1, b2) where known by construction, else None
 
     @property
     def diagonal(self) -> float:
-        """Length of the bounding-box diagonal, world units: the D that diagrams and Chamfer distances are divided by."""
+        """Length of the bounding-box diagonal, world units: the D that reported lengths are divided by."""
         return float(np.linalg.norm(self.vertices.max(axis=0) - self.vertices.min(axis=0)))
 
     @property
@@ -47,17 +45,20 @@ class Mesh:
         return float(np.linalg.norm(self.vertices - self.centre, axis=1).max())
 
 
-def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas (F,) float64 of the triangles, in squared units of vertices (V,3)."""
-    corner = np.asarray(vertices, dtype=np.float64)[faces]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+def mesh_hash(mesh: Mesh) -> str:
+    """Return the sha256 (hex) of the mesh's vertices and faces; the name does not count."""
+    digest = hashlib.sha256(f"{len(mesh.vertices)} {len(mesh.faces)} ".encode())
+    digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(mesh.faces, dtype="<i8").tobytes())
+    return digest.hexdigest()
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge exactly equal points (no tolerance), keeping the order of first appearance.
+    """Merge exactly equal points (no tolerance), in the order of first appearance.
 
-    Returns vertices (V',3) float64 and faces (F',3) int64: points that no face uses and faces that came to use
-    one point twice are dropped, both are no part of the surface (an unused point would move the bounding box).
+    Return vertices (V',3) float64 and faces (F',3) int64: points that no face uses and faces that came to
+    use one point twice are dropped, both are no part of the surface (an unused point would move the bounding
+    box).
     """
     vertices = np.asarray(vertices, dtype=np.float64) + 0.0  # + 0.0 turns -0.0 into 0.0
     _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
@@ -76,8 +77,8 @@ def checked_mesh(
 ) -> Mesh:
     """Return the Mesh of vertices (V,3) and faces (F,3), welded exactly unless `welded` is False.
 
-    Raises InputError, naming `name`, for no faces, indices out of range, NaN or infinite coordinates, or a surface
-    of no area.
+    Raises InputError, naming `name`, for no faces, indices out of range, NaN or infinite coordinates, or a
+    surface of no area.
     """
     vertices = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
@@ -104,11 +105,13 @@ def checked_mesh(
 def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     """Read any mesh file that trimesh reads; the Mesh is named after the file, its `betti` is None.
 
-    Faces are indexed by position alone: equal points are welded exactly, so texture seams (OBJ `v/vt`) and STL's
-    separate corners do not cut the surface open. Polygons are triangulated by the fan 0-2, the parts of a scene file
-    (GLB) are placed by their transforms and concatenated. `welded=False` keeps the file's own vertices.
+    Faces are indexed by position alone: equal points are welded exactly, so texture seams (OBJ `v/vt`) and
+    STL's separate corners do not cut the surface open. Polygons are triangulated by the fan 0-2, the parts of
+    a scene file (GLB) are placed by their transforms and concatenated. `welded=False` keeps the file's own
+    vertices.
 
-    Raises InputError for a missing, unreadable, truncated or foreign file and for what `checked_mesh` refuses.
+    Raises InputError for a missing, unreadable, truncated or foreign file and for what `checked_mesh`
+    refuses.
     """
     path = Path(path)
     if not path.is_file():
@@ -145,7 +148,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
         _check_indices(vertices, faces, str(path))
     mesh = checked_mesh(
         np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets)]),
+        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)]),
         str(path),
         welded=welded,
     )
@@ -162,7 +165,9 @@ def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
 
 
 def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The scene's meshes as (vertices, faces), each placed by its node's transform; points and curves are left out."""
+    """Return the scene's meshes as (vertices, faces), each placed by its node's transform; no points, no
+    curves.
+    """
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, key = scene.graph[node]

@@ -1,7 +1,8 @@
 """Execute the notebooks through papermill, and write them back in a form that stays the same from run to run.
 
-Every notebook has one cell tagged `parameters` whose `profile` is "recorded" (read committed records, train only what
-is short) or "full" (train everything). Kernels run this very interpreter, in the notebook's own folder, as nbval does.
+Every notebook has one cell tagged `parameters` whose `profile` is "recorded" (read committed records, train
+only what is short) or "full" (train everything). Kernels run this very interpreter, in the notebook's own
+folder, as nbval does.
 """
 
 from __future__ import annotations
@@ -99,9 +100,9 @@ def execute(
 ) -> Outcome:
     """Execute one notebook with the parameter `profile` and keep the executed copy in `executed`.
 
-    A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the error.
-    refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call inside `own_kernel`.
-    Raises InputError for an unknown profile or a folder that cannot be written.
+    A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
+    error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call
+    inside `own_kernel`. Raises InputError for an unknown profile or a folder that cannot be written.
     """
     import papermill
     from papermill.exceptions import PapermillExecutionError
@@ -140,8 +141,8 @@ def execute(
 def cleaned(notebook: NotebookNode) -> NotebookNode:
     """Return a copy with outputs and counts but nothing that changes from run to run.
 
-    Removed: papermill's and the client's metadata (times, paths), the cell of injected parameters, widget states,
-    the interpreter's patch version. Code cells are numbered 1, 2, … as a run without injection would.
+    Removed: papermill's and the client's metadata (times, paths), the cell of injected parameters, widget
+    states, the interpreter's patch version. Code cells are numbered 1, 2, … as a run without injection would.
     """
     result = nbformat.from_dict(json.loads(nbformat.writes(notebook)))
     result.cells = [

@@ -8,18 +8,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from paper_artifact.config import RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
 from paper_artifact.files import RESULTS
-from paper_artifact.mesh import Mesh
+from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder
+from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.soup.allocation import allocating_resampler
@@ -29,22 +29,29 @@ from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 
 if TYPE_CHECKING:
+    from paper_artifact.topology.bundle import Bundle
     from paper_artifact.topology.importance import ImportanceField
+    from paper_artifact.topology.term import TopologyTerm
 
 DENSE = 20_000  # points of the target surface that hold an importance field
 
 
-def make_run_term(config: RunConfig, mesh: Mesh):
-    """Return (loss term, target bundle) of a configuration; (None, None), importing nothing, for one that
-    adds no loss."""
+def make_run_term(config: RunConfig, mesh: Mesh) -> tuple[TopologyTerm | None, Bundle | None]:
+    """Return (loss term, target bundle) of a configuration; (None, None), without any import, for no loss."""
     if config.loss is None:
         return None, None
     from paper_artifact.topology.bundle import build_from_mesh
     from paper_artifact.topology.term import TopologyTerm
 
     loss = config.loss
-    options = {"shape": config.shape, "dimensions": loss.dimensions}
-    bundle = build_from_mesh(mesh.vertices, mesh.faces, loss.samples, loss.bundle_seed, **options)
+    bundle = build_from_mesh(
+        mesh.vertices,
+        mesh.faces,
+        loss.samples,
+        loss.bundle_seed,
+        shape=config.shape,
+        dimensions=loss.dimensions,
+    )
     return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
 
 
@@ -88,8 +95,7 @@ def run(
     device: str = "auto",
     again: bool = False,
 ) -> dict:
-    """Train and evaluate one configuration, write record and soup, and return the record; one that is there
-    is read back.
+    """Return the record of one configuration: train, evaluate, write record and soup, or read what is there.
 
     results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even
     if recorded. Raises InputError for bad input or a folder that is not writable, before any training.
@@ -129,7 +135,7 @@ def run(
         importance=importance(scene.points) if importance is not None and not allocating else None,
     )
     holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.images[scene.holdout])
-    sections = {
+    sections: dict[str, Any] = {
         "images": {
             "psnr": round(holdout["psnr"], 4),
             "ssim": round(holdout["ssim"], 6),
@@ -147,9 +153,9 @@ def run(
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
     }
-    if term is not None:
+    if term is not None and bundle is not None:
         sections |= {"topology": term.log, "bundle": bundle.to_json()}
-    losses = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
+    losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
     save_soup(results / "soups" / f"{path.stem}.npz", state.soup)
@@ -159,8 +165,7 @@ def run(
 
 
 def _matching(record: dict, path: Path, config: RunConfig, mesh: Mesh) -> dict:
-    """Return the record; InputError when it is of another mesh: of a mesh file the configuration holds the
-    path only."""
+    """Return the record. Raises InputError when it is of another mesh (a config holds a path)."""
     # Analytic shapes may differ in the last bit between machines, so only files are compared.
     if Path(config.shape).is_file() and record.get("mesh", {}).get("sha256") != mesh_hash(mesh):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Counter-based randomness: every draw is a pure function of named integers, so order and threads cannot matter.
+"""Counter-based randomness: a draw is a pure function of named integers, so order and threads cannot matter.
 
 `stream` gives a numpy Generator (Philox) for host-side sampling; the rasterizer's per-fragment draws use the
 32-bit hash in `paper_artifact.raster.draws`.
@@ -14,8 +14,8 @@ import numpy as np
 def stream(seed: int, purpose: str, counter: int = 0) -> np.random.Generator:
     """Return the Generator of (seed, purpose, counter); equal arguments give equal draws on every machine.
 
-    seed and counter are non-negative integers below 2**63; `purpose` names the use ("batch", "samples", ...), so two
-    uses of one seed never share draws.
+    seed and counter are non-negative integers below 2**63; `purpose` names the use ("batch", "samples", ...),
+    so two uses of one seed never share draws.
     """
     if seed < 0 or counter < 0:
         raise ValueError(f"seed and counter must be non-negative, got {seed} and {counter}")

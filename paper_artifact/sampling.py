@@ -1,11 +1,16 @@
-"""Uniform random points on a triangle surface, the cloud that every alpha complex here is built on (paper, Method)."""
+"""Uniform random points on a triangle surface: the cloud under every alpha complex here (paper, Method)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import face_areas
+
+
+def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the areas (F,) float64 of triangles `faces` (F,3), in squared units of `vertices` (V,3)."""
+    corner = np.asarray(vertices, dtype=np.float64)[faces]
+    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
 
 
 def sample_surface(
@@ -15,15 +20,17 @@ def sample_surface(
     generator: np.random.Generator,
     weights: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw `count` independent points on the triangles, with density proportional to area × weight.
+    """Draw `count` independent points on the triangles; return (points, face indices, barycentrics).
 
-    vertices (V,3) any float, world units; faces (F,3) integer; weights (F,) ≥ 0, for example triangle opacities, or
-    None for uniform by area. Construction, fixed so that equal arguments give equal points: u = generator.random((3,
-    count)); the face is the inverse of the cumulated area × weight at u[0]; with s = sqrt(u[1]) the barycentrics are
-    (1 - s, s (1 - u[2]), s u[2]), uniform on the triangle (Osada et al. 2002, Shape Distributions, eq. 1).
+    points (count,3) float64 world units; face indices (count,) int64; barycentrics (count,3) float64 of the
+    faces' three corners. The density is proportional to area × weight. vertices (V,3) any float, world units;
+    faces (F,3) integer; weights (F,) ≥ 0, for example triangle opacities, or None for uniform by area.
 
-    Returns points (count,3) float64 world units, face indices (count,) int64, barycentrics (count,3) float64 of the
-    faces' three corners. Raises InputError for a negative count or when no area × weight is left to draw from.
+    Construction, fixed so that equal arguments give equal points: u = generator.random((3, count)); the face
+    is the inverse of the cumulated area × weight at u[0]; with s = sqrt(u[1]) the barycentrics are (1 - s,
+    s (1 - u[2]), s u[2]), uniform on the triangle (Osada et al. 2002, Shape Distributions, eq. 1).
+
+    Raises InputError for a negative count or when no area × weight is left to draw from.
     """
     if count < 0:
         raise InputError(f"the number of samples must not be negative, got {count}")
@@ -38,8 +45,8 @@ def sample_surface(
             "the surface to sample has no finite, positive area × weight; check its triangles and opacities"
         )
     u = generator.random((3, count))
-    # side="right" skips faces of no mass; u < 1 keeps u·total below the total but for rounding, hence the cap at
-    # the last face that has mass.
+    # side="right" skips faces of no mass; u < 1 keeps u·total below the total but for rounding, hence the cap
+    # at the last face that has mass.
     face = np.searchsorted(cumulated, u[0] * cumulated[-1], side="right")
     face = np.minimum(face, np.flatnonzero(mass)[-1])
     root = np.sqrt(u[1])

@@ -14,7 +14,7 @@ BACKGROUND = np.array([1.0, 0.9, 0.8], np.float32)
 def look_at(
     centre, target=(0.0, 0.0, 0.0), focal: float = 3.0, near: float = 0.5, far: float = 10.0
 ) -> np.ndarray:
-    """Return world_to_clip (4,4) float64 of a square camera at `centre`; NDC y points down, w is the depth in front."""
+    """Return world_to_clip (4,4) float64 of a square camera at `centre`; NDC y down, w the depth in front."""
     centre, target = np.asarray(centre, float), np.asarray(target, float)
     forward = (target - centre) / np.linalg.norm(target - centre)
     helper = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -27,7 +27,7 @@ def look_at(
 
 
 def front_camera(distance: float = 4.0, focal: float = 1.8) -> torch.Tensor:
-    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance looking along +z: image x is world x, y is y."""
+    """Return world_to_clip (1,4,4) float64 of a camera at z = -distance along +z, image x, y as world."""
     near, far = 0.5, 10.0
     matrix = torch.diag(torch.tensor([focal, focal, (far + near) / (far - near), 0.0], dtype=torch.float64))
     matrix[2, 3] = distance * (far + near) / (far - near) - 2 * far * near / (far - near)
@@ -36,7 +36,7 @@ def front_camera(distance: float = 4.0, focal: float = 1.8) -> torch.Tensor:
 
 
 def soup(seed: int, count: int, size: float = 0.5) -> dict[str, torch.Tensor]:
-    """Return a random soup in the unit ball, float64: vertices (T,3,3), opacity (T,3), features (T,3,FEATURES)."""
+    """Return a random soup in the unit ball, float64: vertices (T,3,3), opacity (T,3), features."""
     draws = stream(seed, "raster test soup")
     centres = draws.normal(size=(count, 1, 3))
     centres *= draws.uniform(size=(count, 1, 1)) ** (1 / 3) / np.linalg.norm(centres, axis=-1, keepdims=True)

@@ -1,30 +1,21 @@
-"""Hand-made run records of the study's configurations, for tests of the reports: a tail per (condition, seed), smooth
-trajectories."""
+"""Hand-made run records of the study's configurations, for tests of the reports: a tail per run, smooth trajectories."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from paper_artifact.catalogue import shape_row, study_config
 from paper_artifact.record.store import make_record, write_record
-from paper_artifact.catalogue import study_config
 
-DIMENSION = {
-    "sphere": 2,
-    "torus": 1,
-    "cube": 2,
-    "two_spheres": 0,
-    "double_torus": 1,
-    "spot": 2,
-    "bob": 1,
-    "rocker-arm": 1,
-    "eight": 1,
-}
 BETTI = {
     "sphere": (1, 0, 1),
     "torus": (1, 2, 1),
     "cube": (1, 0, 1),
     "two_spheres": (2, 0, 2),
     "double_torus": (1, 4, 1),
+    "pot": (1, 6, 1),
+    "bowl_narrow": (1, 0, 0),
+    "bowl_wide": (1, 0, 0),
 }
 
 
@@ -32,9 +23,9 @@ def study_record(
     shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None
 ) -> dict:
     """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in the others."""
-    config, dimension = study_config(shape, condition, seed), DIMENSION[shape]
-    betti = BETTI.get(shape) or (1, 0, 1)
-    counts = list(counts or (betti[0] - 1, *betti[1:]))
+    config, row = study_config(shape, condition, seed), shape_row(shape)
+    dimension = row.judged
+    counts = list(counts or row.features)
     dumps = [
         {
             "step": step,
@@ -74,7 +65,7 @@ def study_record(
         "cpu_seconds": 60.0,
         "resumed_at": None,
     }
-    if condition in ("C1", "C3", "C6"):
+    if config.loss is not None and config.loss.kind == "topology":
         log = [
             {
                 "event": "lambda",
@@ -85,7 +76,7 @@ def study_record(
                 "topo_norm": 0.001,
             }
         ]
-        target, recruited = [[0.02, 0.2], [0.03, 0.1]], int(condition != "C6")
+        target, recruited = [[0.02, 0.2], [0.03, 0.1]], int(config.loss.recruitment)
         for step in range(501, 2500, 10):
             bars = [
                 {"target": target[0], "live": [0.02, 0.19], "kind": "matched"},
@@ -116,7 +107,7 @@ def study_record(
                 }
             )
         bars = [[], [], []]
-        bars[dimension] = target
+        bars[dimension] = target[: row.features[dimension]]
         sections |= {
             "topology": log,
             "bundle": {"bars": bars, "samples": 2048, "floor": 0.06, "dimensions": [dimension]},

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.audit.audit import audit_mesh
+from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
 from paper_artifact.audit.rule import Rung, decide
 from paper_artifact.audit.view import light_mesh

@@ -1,6 +1,7 @@
 """What a user may get wrong, through the command line.
 
-Wanted: exit code 1, one line on stderr that says what is wrong and what to do, no trace, and the folders as they were before.
+Wanted: exit code 1, one line on stderr that says what is wrong and what to do, no trace, and the folders as
+they were before.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.mesh import load_mesh, mesh_hash
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import make_record, record_path, write_record
-from paper_artifact.scene.build import mesh_hash
 from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import TINY, tiny_arguments, tiny_config
 
@@ -234,7 +235,6 @@ def test_a_mesh_file_that_changed_since_its_record(refused, tmp_path):
     arguments = ["train", str(file), *tiny_arguments()[2:], "--results", str(tmp_path / "results")]
     trimesh.creation.icosphere(subdivisions=2).export(file)
     from paper_artifact.catalogue import study_config
-    from paper_artifact.mesh import load_mesh
 
     config = study_config(str(file), **TINY)
     path = recorded(tmp_path / "results", config, load_mesh(file))

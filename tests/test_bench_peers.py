@@ -1,4 +1,4 @@
-"""The benchmark beside other libraries, on small clouds with stand-ins for them: what it reports, never how long it took."""
+"""The benchmark beside other libraries, on small clouds with stand-ins: what it reports, never how long."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ def absent(monkeypatch):
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """Modules with the peers' calls: oineus.diff gives gudhi's pairs with squared circumradii by torch's own autograd,
-    torch-topological the longest edges of gudhi's pairs."""
+    """Modules with the peers' calls, on gudhi's pairs.
+
+    oineus.diff gives squared circumradii by torch's own autograd, torch-topological the longest edges.
+    """
     modules = {name: types.ModuleType(name) for name in NAMES}
     modules["oineus"].diff = modules["oineus.diff"]
     modules["oineus.diff"].alpha_filtration = lambda points: points
@@ -194,7 +196,7 @@ def test_peers_are_a_default_part_only_where_one_is_installed(absent, monkeypatc
 
 def test_a_stored_table_is_not_replaced_by_one_without_the_peers(absent, tmp_path):
     with pytest.raises(InputError, match="pip install torch-topological"):
-        measured.measure("peers", tmp_path)
+        measured.write("peers", tmp_path)
     assert not list(tmp_path.iterdir())
 
 

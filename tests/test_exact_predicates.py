@@ -45,7 +45,8 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
         assert np.sign(predicates.orient3d(points, 0, 1, 2, 3, WS)) == np.sign(orient)
         vectors = fractions(points, 4)
         sphere_sign = determinant([[*v, sum(x * x for x in v)] for v in vectors])
-        # the determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented tetrahedron (Shewchuk)
+        # The determinant of rows (x, y, z, lift) is positive when e is inside a positively oriented
+        # tetrahedron (Shewchuk).
         assert np.sign(predicates.insphere(points, 0, 1, 2, 3, 4, WS)) == np.sign(sphere_sign)
         a, b = fractions(points[:3], 2)
         assert predicates.edge_excludes(points, 0, 1, 2, WS) == (sum(x * y for x, y in zip(a, b)) >= 0)
@@ -54,16 +55,11 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
         if any(normal):  # centre of the circle through 0, v, w, then the power of u
             vv, ww = sum(x * x for x in v), sum(x * x for x in w)
             side = [vv * q - ww * p for p, q in zip(v, w)]
-            cross = [
-                side[(i + 1) % 3] * normal[(i + 2) % 3] - side[(i + 2) % 3] * normal[(i + 1) % 3]
-                for i in range(3)
-            ]
+            towards = cross(side, normal)
             nn = sum(x * x for x in normal)
-            for sign in (
-                1,
-                -1,
-            ):  # the circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product
-                centre = [sign * x / (2 * nn) for x in cross]
+            # The circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product.
+            for sign in (1, -1):
+                centre = [sign * x / (2 * nn) for x in towards]
                 if (
                     2 * sum(c * x for c, x in zip(centre, v)) == vv
                     and 2 * sum(c * x for c, x in zip(centre, w)) == ww
@@ -84,15 +80,19 @@ def test_double_doubles_and_expansions_agree_with_rational_arithmetic():
         )
 
 
+def cross(p: list[Fraction], q: list[Fraction]) -> list[Fraction]:
+    return [p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)]
+
+
+def dot(p: list[Fraction], q: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(p, q, strict=True)), Fraction(0))
+
+
 def test_circumradii_of_flat_simplices_agree_with_rational_arithmetic():
     for k in range(1, 400, 2):
         points = near_degenerate(k)
         u, v, w = fractions(points[:4], 0)
         det = determinant([u, v, w])
-        cross = lambda p, q: [
-            p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)
-        ]  # noqa: E731
-        dot = lambda p, q: sum(x * y for x, y in zip(p, q))  # noqa: E731
         if det != 0:
             terms = zip(cross(v, w), cross(w, u), cross(u, v))
             centre = [(dot(u, u) * x + dot(v, v) * y + dot(w, w) * z) / (2 * det) for x, y, z in terms]

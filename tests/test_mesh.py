@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import checked_mesh, face_areas, load_mesh, weld
+from paper_artifact.mesh import checked_mesh, load_mesh, weld
+from paper_artifact.sampling import face_areas
 
 
 def open_edges(faces: np.ndarray) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gudhi
 import numpy as np
 import pytest
 import trimesh
@@ -10,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence
 from paper_artifact.alpha import delaunay, ordering
+from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence, gudhi_persistence
 from paper_artifact.bench import persistence as benchmark
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -108,16 +107,16 @@ def bars(diagram: np.ndarray, cut: float) -> np.ndarray:
 
 
 def exact_diagrams(points: np.ndarray) -> list[np.ndarray]:
-    """gudhi at precision `exact`: `safe` evaluates the radii of near-flat tetrahedra to 1e-5 only."""
-    tree = gudhi.AlphaComplex(points=points, precision="exact").create_simplex_tree()
-    tree.compute_persistence(homology_coeff_field=2)
-    intervals = [tree.persistence_intervals_in_dimension(d).reshape(-1, 2) for d in range(3)]
-    return [np.sqrt(i[np.isfinite(i[:, 1])]) for i in intervals]
+    """Return the oracle's: `safe` evaluates the radii of near-flat tetrahedra to 1e-5 only."""
+    return [pairs.diagram for pairs in exact_pairs(points)]
+
+
+def exact_pairs(points: np.ndarray) -> tuple[Pairs, Pairs, Pairs]:
+    return gudhi_persistence(np.asarray(points, dtype=np.float64).reshape(-1, 3), precision="exact")
 
 
 def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
-    """The largest difference of two diagrams' bars longer than 1e-8 of the scale, or of a bar near that length to the
-    diagonal."""
+    """Return the largest difference of two diagrams' bars longer than about 1e-8 of the scale."""
     # a cut in the middle of a gap between bar lengths, so that rounding cannot move a bar across it
     lengths = np.sort(
         np.concatenate([ours[:, 1] - ours[:, 0], theirs[:, 1] - theirs[:, 0], [1e-9 * scale, 1e-8 * scale]])
@@ -134,12 +133,7 @@ def gap(ours: np.ndarray, theirs: np.ndarray, scale: float) -> float:
 def test_fast_equals_gudhi(name):
     points = np.asarray(CLOUDS[name](), dtype=np.float64)
     scale = float(np.ptp(points, axis=0).max()) or 1.0
-    reference = (
-        exact_diagrams(points)
-        if "jitter" in name
-        else [p.diagram for p in alpha_persistence(points, "gudhi")]
-    )
-    for ours, theirs in zip(alpha_persistence(points), reference):
+    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points), strict=True):
         assert gap(ours.diagram, theirs, scale) < 1e-9 * scale
 
 
@@ -148,8 +142,8 @@ def test_fast_equals_gudhi(name):
 def test_few_points(n, kind):
     rng = draw(f"few {kind} {n}")
     points = rng.random((n, 3)) if kind == "generic" else rng.integers(0, 2, (n, 3)).astype(float)
-    for ours, theirs in zip(alpha_persistence(points), alpha_persistence(points, "gudhi")):
-        assert gap(ours.diagram, theirs.diagram, 1.0) < 1e-9
+    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points), strict=True):
+        assert gap(ours.diagram, theirs, 1.0) < 1e-9
 
 
 def test_small_counts_have_the_stated_answer():
@@ -167,16 +161,23 @@ def test_twenty_thousand_points():
     points = torus(20000) + 0.01 * draw("noise").normal(size=(20000, 3))
     ours = alpha_persistence(points)
     assert len(ours[0]) == 19999
-    for dimension, theirs in enumerate(alpha_persistence(points, "gudhi")):
-        assert gap(ours[dimension].diagram, theirs.diagram, 1.0) < 1e-9
+    for dimension, theirs in enumerate(exact_diagrams(points)):
+        assert gap(ours[dimension].diagram, theirs, 1.0) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["uniform", "torus", "soup of 300"])
+def test_the_method_gudhi_gives_the_same_bars(name):
+    points = CLOUDS[name]()
+    for ours, theirs in zip(alpha_persistence(points), alpha_persistence(points, "gudhi"), strict=True):
+        assert gap(ours.diagram, theirs.diagram, 1.0) < 1e-9
 
 
 @settings(max_examples=120, deadline=None)
 @given(st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=0, max_size=24))
 def test_degenerate_integer_clouds(rows):
     points = np.array(rows, dtype=float).reshape(-1, 3)
-    for ours, theirs in zip(alpha_persistence(points), alpha_persistence(points, "gudhi")):
-        assert gap(ours.diagram, theirs.diagram, 1.0) < 1e-9
+    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points), strict=True):
+        assert gap(ours.diagram, theirs, 1.0) < 1e-9
 
 
 @settings(max_examples=60, deadline=None)
@@ -187,12 +188,12 @@ def test_degenerate_integer_clouds(rows):
 def test_nearly_degenerate_clouds(rows, exponent):
     points = np.array(rows, dtype=float)
     points += draw("nearly").integers(-1, 2, points.shape) * 2.0**-exponent
-    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points)):
+    for ours, theirs in zip(alpha_persistence(points), exact_diagrams(points), strict=True):
         assert gap(ours.diagram, theirs, 1.0) < 1e-9
 
 
 def circumradius(points: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    """Radii of the smallest circumspheres of (k, d+1) simplices, by the least-squares equations of the centre."""
+    """Return the radii of (k, d+1) simplices' smallest circumspheres, by the centre's normal equations."""
     base = points[simplices[:, 0]]
     edges = points[simplices[:, 1:]] - base[:, None]
     right = 0.5 * (edges**2).sum(axis=2)
@@ -232,13 +233,13 @@ def test_pairs_name_the_simplices_that_set_the_bars(name):
 def test_pairs_equal_gudhis_on_generic_clouds(name):
     points = CLOUDS[name]()
     for dimension, (ours, theirs) in enumerate(
-        zip(alpha_persistence(points), alpha_persistence(points, "gudhi"))
+        zip(alpha_persistence(points), exact_pairs(points), strict=True)
     ):
         if dimension == 0:  # which of two vertices of equal age dies is a convention
             assert {tuple(r) for r in ours.death_simplices} == {tuple(r) for r in theirs.death_simplices}
             continue
         rows = [
-            {(tuple(b), tuple(d)) for b, d in zip(p.birth_simplices, p.death_simplices)}
+            {(tuple(b), tuple(d)) for b, d in zip(p.birth_simplices, p.death_simplices, strict=True)}
             for p in (ours, theirs)
         ]
         assert rows[0] == rows[1]
@@ -247,7 +248,7 @@ def test_pairs_equal_gudhis_on_generic_clouds(name):
 def test_order_of_points_does_not_matter():
     points = CLOUDS["soup of 5"]()
     shuffled = points[draw("shuffle").permutation(len(points))]
-    for one, other in zip(alpha_persistence(points), alpha_persistence(shuffled)):
+    for one, other in zip(alpha_persistence(points), alpha_persistence(shuffled), strict=True):
         assert gap(one.diagram, other.diagram, 1.0) < 1e-9
 
 
@@ -313,9 +314,8 @@ def test_triangulation_equals_scipys_on_generic_points(n):
 
 
 def test_a_star_of_many_cells_grows_the_workspaces():
-    points = np.vstack(
-        [sphere(3000), np.zeros((1, 3))]
-    )  # the centre, wherever it comes, sees every point: one huge cavity
+    # The centre, wherever it comes, sees every point: one huge cavity.
+    points = np.vstack([sphere(3000), np.zeros((1, 3))])
     voids = alpha_persistence(points)[2]
     assert len(voids.deaths) > 0 and voids.deaths.max() < 0.51 + 0.2
     scaled, _ = ordering.normalised(points)

@@ -1,4 +1,4 @@
-"""The trainer's CPU step against the double-precision twin: by values, by finite differences, and by expectation."""
+"""The trainer's CPU step against the double-precision twin: values, finite differences, expectation."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.step import PhotometricStep
-from paper_artifact.raster.threads import set_thread_count, thread_count
+from paper_artifact.raster.threads import one_torch_thread, set_thread_count, thread_count
 from paper_artifact.raster.view import ViewRaster, make_camera, to_clip
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
-from tests.raster_cases import BACKGROUND, cameras, distance, doubles, soup_arrays
+from tests.raster_cases import BACKGROUND, cameras, distance, doubles, front_camera, soup_arrays
 
 HEIGHT, WIDTH, BATCH = 45, 62, 3
 NAMES = ("vertices", "features", "opacity", "w1", "c1", "w2", "c2", "w3", "c3")
@@ -132,26 +132,66 @@ def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
     for index, name in enumerate(NAMES):
         if name in ("vertices", "opacity"):  # what is seen jumps with them: see the tests below
             continue
-        for _ in range(3):
-            direction = torch.from_numpy(draws.normal(size=values[index].shape))
+        gradient = torch.from_numpy(gradients.flat()[index]).double()
+        others = [torch.from_numpy(draws.normal(size=gradient.shape)) for _ in range(2)]
+        for direction in (gradient / gradient.norm(), *others):
             losses = []
             for shift in (1e-6, -1e-6):
                 moved = [*values[:index], values[index] + shift * direction, *values[index + 1 :]]
                 losses.append(case.twin_loss(moved, raster)[0].item())
             difference = (losses[0] - losses[1]) / 2e-6
-            gradient = torch.from_numpy(gradients.flat()[index]).double()
             scale = float(gradient.norm() * direction.norm())
             assert float((gradient * direction).sum()) == pytest.approx(difference, abs=1e-4 * scale), name
 
 
 def flat_soup(vertices: np.ndarray, colours: np.ndarray, opacity: np.ndarray) -> SoupArrays:
-    """Return triangles of one colour each: blend 0 leaves the MLP out. vertices (T,3,3), colours (T,3), opacity (T,3)."""
+    """Return triangles of one colour each (blend 0 leaves the MLP out): (T,3,3), (T,3) and (T,3)."""
     soup = soup_arrays(0, len(vertices))
     features = np.zeros_like(soup.features)
     features[..., :3] = colours[:, None]
     return soup._replace(
         vertices=vertices.astype(np.float32), features=features, opacity=opacity.astype(np.float32)
     )
+
+
+@pytest.mark.parametrize("size", [(66, 67), (51, 45)])
+@one_torch_thread()
+def test_vertex_gradients_are_the_finite_differences_of_the_twins_loss(size):
+    """One triangle over the background: pixels are seen or not, so derivatives need shifts of some pixels.
+
+    Both sides are means over such shifts. The edge gradient takes the loss as linear in an edge's step of
+    colour, which holds for a small step and a target below both colours.
+    """
+    height, width = size
+    triangle = np.array([[[-0.9, -0.8, -0.5], [0.8, -0.3, 0.1], [-0.1, 0.9, -0.2]]])
+    matrix, colours = front_camera().numpy().astype(np.float32), np.array([[0.99, 0.915, 0.81]])
+    row, column = np.mgrid[:height, :width]
+    waves = [np.sin(column / 2.0), np.cos(row / 2.3), np.sin((row + column) / 3.0)]
+    image = (0.3 + 0.25 * np.stack(waves)[None]).astype(np.float32)
+
+    def moved(shift: np.ndarray) -> Case:
+        return Case(flat_soup(triangle + shift, colours, np.ones((1, 3))), matrix, image, [0])
+
+    def twin_loss(shift: np.ndarray) -> float:
+        case = moved(shift)
+        return case.twin_loss(doubles(case.soup), case.raster())[0].item()
+
+    pixel = 4.0 / 1.8 * 2 / height  # world units, at the camera's distance and focal length
+    found, expected = [], []
+    for index in np.ndindex(1, 3, 3):
+        direction = np.zeros((1, 3, 3))
+        direction[index] = 1
+        reach = (6 if index[2] == 2 else 2) * pixel  # depth moves the image less
+        jitter = (np.arange(4) - 1.5) / 4 * pixel
+        differences = [
+            twin_loss((each + reach) * direction) - twin_loss((each - reach) * direction) for each in jitter
+        ]
+        expected.append(np.mean(differences) / (2 * reach))
+        steps = [moved(each * direction).step()[1].vertices for each in np.linspace(-reach, reach, 13)]
+        found.append(np.mean(steps, axis=0)[index])
+    found, expected = np.array(found), np.array(expected)
+    assert found @ expected / (expected @ expected) == pytest.approx(1, abs=0.06)
+    assert np.linalg.norm(found - expected) < 0.08 * np.linalg.norm(expected)
 
 
 def test_opacity_gradients_are_on_average_the_finite_differences_of_the_expected_error():
@@ -195,6 +235,7 @@ def test_opacity_gradients_are_on_average_the_finite_differences_of_the_expected
         expected[index] = (expected_error(base + shift) - expected_error(base - shift)) / 2e-4
     assert np.abs(expected).max() > 10 * error.max()
     assert (np.abs(value - expected) <= 5 * error + 1e-9).all()
+    assert (value * expected).sum() / (expected**2).sum() == pytest.approx(1, abs=0.06)
 
 
 def test_a_step_is_its_stages_one_after_another(case):
@@ -235,7 +276,7 @@ def test_one_and_two_threads_give_the_same_bits(case, two_threads):
 
 
 def backend_of(case: Case) -> CpuBackend:
-    """Return the backend of a scene of four views, of which the case's three, in this order, are views 3, 0 and 2."""
+    """Return the backend of a scene of four views; the case's three, in their order, are views 3, 0 and 2."""
     order = [3, 0, 2]
     images, matrices = np.zeros((4, HEIGHT, WIDTH, 3), np.float32), np.tile(case.matrices[:1], (4, 1, 1))
     images[order], matrices[order] = case.images.transpose(0, 2, 3, 1), case.matrices

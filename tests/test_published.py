@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from paper_artifact.catalogue import shapes_of
 from paper_artifact.errors import InputError
-from paper_artifact.report.published import PUBLISHED, published, published_value, tables
+from paper_artifact.report.kit import frames
+from paper_artifact.report.kit.published import PUBLISHED, published, tables
 
 ROUNDING = 1e-4 + 1e-9  # half a last digit of the printed mean and of the printed seeds
 
@@ -26,7 +28,12 @@ def test_every_table_is_there_and_described():
                 frame.columns
             )
             assert frame["value"].dtype == float and frame["sd"].dtype == float
-            assert not frame.drop(columns=["note", "value", "sd"]).duplicated().any() or name == "floor"
+            assert (
+                not frame.drop(columns=["note", "value", "sd", "printed", "ratio"], errors="ignore")
+                .duplicated()
+                .any()
+                or name == "floor"
+            )
 
 
 @pytest.mark.parametrize("shape", sorted(set(published("S7")["shape"])))
@@ -34,9 +41,7 @@ def test_every_table_is_there_and_described():
 def test_per_seed_values_have_the_printed_mean_and_sd(shape, condition):
     frame = published("S7")
     seeds = frame[(frame["shape"] == shape) & (frame["condition"] == condition)]["value"]
-    mean, sd = published_value(
-        "1" if shape in ("cube", "two_spheres") else "2", shape=shape, condition=condition
-    )
+    mean, sd = frames.paper_arms().set_index(frames.ARM).loc[(shape, condition), ["value", "sd"]]
     assert len(seeds) == 3 and abs(seeds.mean() - mean) <= ROUNDING
     assert math.isnan(sd) or abs(seeds.std(ddof=1) - sd) <= ROUNDING
 
@@ -51,30 +56,24 @@ def test_bowls_per_seed_values_have_the_printed_mean_and_sd():
 
 
 def test_group_means_follow_from_table_2():
-    groups = {
-        "loop group": ("bob", "rocker-arm", "eight"),
-        "void group": ("spot", "fandisk", "pot", "armadillo", "horse"),
-    }
-    for group, shapes in groups.items():
-        ratios = [
-            published_value("2", shape=shape, condition="C0")[0]
-            / published_value("2", shape=shape, condition="C1")[0]
-            for shape in shapes
-        ]
-        mean, sd = published_value("2", shape=group, condition="C1", quantity="ratio_C0_over_C1")
+    tails = frames.paper_arms("tail_bottleneck", "2").pivot(
+        index="shape", columns="condition", values="value"
+    )
+    for row in frames.paper("ratio_C0_over_C1", "2").itertuples():
+        members, mean, sd = tails.loc[list(shapes_of(row.shape))], row.value, row.sd
+        ratios = members["C0"] / members["C1"]
         assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(
             sd, abs=0.03
         )
 
 
 def test_printed_factors_follow_from_the_values():
-    for table in ("1", "2", "S10"):
-        frame = published(table)
-        for _, row in frame[frame["note"].str.contains("x vs C0")].iterrows():
-            printed = float(row["note"].split("x")[0])
-            baseline = frame[(frame["shape"] == row["shape"]) & (frame["condition"] == "C0")]
-            ratio = baseline["value"].iloc[0] / row["value"]  # in S10 the mean stands before its seeds
-            assert ratio == pytest.approx(printed, abs=0.1 if printed < 9 else 0.3)
+    arms = frames.paper_arms().set_index(frames.ARM)
+    printed = arms[arms["ratio"] != ""]
+    assert printed.groupby("table").size().to_dict() == {"1": 6, "2": 8, "S10": 2, "noise": 4}
+    for (shape, _), row in printed.iterrows():
+        ratio = arms.loc[(shape, "C0"), "value"] / row["value"]
+        assert ratio == pytest.approx(float(row["ratio"]), abs=0.1 if ratio < 9 else 0.3)
 
 
 def test_pins_are_half_lifetimes():
@@ -83,9 +82,8 @@ def test_pins_are_half_lifetimes():
         rows = frame[
             (frame["shape"] == shape) & (frame["quantity"] == "lifetime") & (frame["samples"] == 20000)
         ]
-        assert rows["value"].iloc[0] / 2 == pytest.approx(
-            published_value("2", shape=shape, condition="C0")[0], abs=ROUNDING
-        )
+        baseline = frames.paper_arms().set_index(frames.ARM).loc[(shape, "C0"), "value"]
+        assert rows["value"].iloc[0] / 2 == pytest.approx(baseline, abs=ROUNDING)
 
 
 def test_window_of_the_floor_multiplier_follows_from_the_margins():
@@ -99,9 +97,3 @@ def test_window_of_the_floor_multiplier_follows_from_the_margins():
 def test_unknown_names_are_refused():
     with pytest.raises(InputError, match="known: 1, 2, S1"):
         published("S14")
-    with pytest.raises(InputError, match="0 rows"):
-        published_value("1", shape="sphere", condition="C9")
-    with pytest.raises(InputError, match="no column"):
-        published_value("1", form="sphere")
-    with pytest.raises(InputError, match="3 rows"):
-        published_value("S7", shape="spot", condition="C0")

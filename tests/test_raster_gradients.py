@@ -1,9 +1,9 @@
 """Each stage of the numba rasterizer (float32) against the torch twin (float64), in two tiers.
 
-First tier: wherever both see the same triangle, barycentrics, depth and every gradient agree tightly. Second tier: pixels
-where rounding lets another fragment win are counted, and stay a small fraction. Gradients are compared with the incoming
-gradient set to 0 on counted pixels (for the edge gradient also on their neighbours), so that no tolerance has to hide a
-flip.
+First tier: wherever both see the same triangle, barycentrics, depth and every gradient agree tightly. Second
+tier: pixels where rounding lets another fragment win are counted, and stay a small fraction. Gradients are
+compared with the incoming gradient set to 0 on counted pixels (for the edge gradient also on their
+neighbours), so that no tolerance has to hide a flip.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def make_case(
 
 
 def incoming(case: Case, seed: int, margin: int) -> torch.Tensor:
-    """Return a random gradient image (B,3,H,W) float64 of float32 values, 0 within `margin` pixels of a flipped one."""
+    """Return a random gradient image (B,3,H,W) float64 of float32 values, 0 within `margin` px of a flip."""
     shape = (case.flipped.shape[0], 3, *case.flipped.shape[1:])
     image = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
     flips = case.flipped[:, None].float()

@@ -1,4 +1,4 @@
-"""The README says what is there: its program runs, its commands parse, its paths exist, its table names every notebook."""
+"""The documents say what is there: programs run, commands parse, paths exist, the README names every notebook."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
@@ -13,16 +14,22 @@ from paper_artifact import cli
 from paper_artifact.files import REPOSITORY
 from paper_artifact.notebooks import NOTEBOOKS
 
-TEXT = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = {
+    path.stem: path.read_text(encoding="utf-8")
+    for path in (REPOSITORY / f"{name}.md" for name in ("README", "CONTRIBUTING", "ARCHITECTURE", "CHANGELOG"))
+}
+TEXT = DOCUMENTS["README"]
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+def blocks(language: str, text: str = TEXT) -> list[str]:
+    """Return the code blocks of that language that stand at the margin; indented ones are parts of something."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
 def commands() -> list[str]:
-    lines = [line.split("#")[0].strip() for line in "\n".join(blocks("bash")).splitlines()]
-    inline = re.findall(r"`(python -m paper_artifact [^`]*)`", TEXT)
+    text = "\n".join(DOCUMENTS.values())
+    lines = [line.split("#")[0].strip() for line in text.splitlines()]
+    inline = re.findall(r"`(python -m paper_artifact [^`]*)`", text)
     return sorted({line for line in [*lines, *inline] if line.startswith("python -m paper_artifact")})
 
 
@@ -40,6 +47,13 @@ def test_the_program_runs(tmp_path):
         assert "longest loop: 0." in result.stdout and "gradient: torch.Size([512, 3])" in result.stdout
 
 
+def test_the_programs_for_contributors_run():
+    assert blocks("python", DOCUMENTS["CONTRIBUTING"])
+    for program in blocks("python", DOCUMENTS["CONTRIBUTING"]):
+        result = subprocess.run([sys.executable, "-W", "error", "-c", program], cwd=REPOSITORY, timeout=300)
+        assert result.returncode == 0
+
+
 @pytest.mark.parametrize("command", commands())
 def test_commands_parse(command):
     words = shlex.split(command)[3:]
@@ -50,14 +64,26 @@ def test_commands_parse(command):
     assert parser.parse_args(words).verb in runners
 
 
-def test_paths_exist():
-    named = re.findall(r"`((?:paper_artifact|notebooks|data_scripts|results|tests)/[\w./-]*)`", TEXT)
-    made = {
-        "results/executed/",
-        "results/scenes/my",
-        "data_scripts/downloads/",
-    }  # git-ignored, written by the commands
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_paths_exist(document):
+    named = re.findall(r"`((?:paper_artifact|notebooks|data_scripts|results|tests)/[\w./-]*)`", DOCUMENTS[document])
+    # git-ignored, written by the commands
+    made = {"results/executed/", "results/scenes/my", "data_scripts/downloads/"}
     assert [path for path in named if path not in made and not (REPOSITORY / path).exists()] == []
+
+
+def test_modules_that_documents_name_exist():
+    for document in ("ARCHITECTURE", "CHANGELOG"):
+        named = re.findall(r"`(\w+/\w+\.py|\w+/\w+/\w+\.py)`", DOCUMENTS[document])
+        places = (REPOSITORY, REPOSITORY / "paper_artifact")
+        assert [path for path in named if not any((place / path).exists() for place in places)] == []
+
+
+def test_the_readme_names_what_the_package_brings():
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    brought = re.search(r"`pip install \.` \(([^)]*)\)", TEXT)
+    assert brought is not None and sorted(brought[1].split(", ")) == sorted(project["dependencies"])
+    assert all(f"`.[{extra}]`" in TEXT for extra in project["optional-dependencies"])
 
 
 def test_the_table_names_every_notebook_and_no_other():

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from paper_artifact.report import bowls, matrix
-from paper_artifact.report.published import published
+from paper_artifact.report import bowls
+from paper_artifact.report.kit import tables
+from paper_artifact.report.kit.published import published
+from paper_artifact.report.kit.records import collect_study
 from paper_artifact.scene.shapes import BOWL_RIMS, make_shape
 from tests import report_records
 
@@ -17,11 +19,8 @@ def stairs():
 
 
 @pytest.fixture
-def study(tmp_path, monkeypatch):
+def study(tmp_path):
     """Both bowls: C0, C1, C2 of the narrow one with three seeds, one C0 run of the wide one."""
-    for shape in bowls.SHAPES:
-        monkeypatch.setitem(report_records.DIMENSION, shape, 2)
-        monkeypatch.setitem(report_records.BETTI, shape, (1, 0, 0))
     for condition, tail, count in (("C0", 0.05, 1), ("C1", 0.01, 1), ("C2", 0.12, 0)):
         for seed in range(3):
             record = report_records.study_record(
@@ -29,7 +28,7 @@ def study(tmp_path, monkeypatch):
             )
             report_records.write_record(record, tmp_path)
     report_records.write_study(tmp_path, {("bowl_wide", "C0", 1): 0.04})
-    return matrix.collect_study("bowls", folder=tmp_path)
+    return collect_study("bowls", folder=tmp_path)
 
 
 def test_disks_with_the_paper_s_openings():
@@ -71,16 +70,16 @@ def test_outcomes_and_what_is_missing(study, stairs):
     )
     low, high = map(float, table.loc[("bowl_wide", "C0"), "half the void"].split("–"))
     assert low <= high == pytest.approx(0.077, abs=0.001)
-    cell = matrix.matrix_table(study).loc["C0", ("bowl_wide", "ours")]
+    cell = tables.matrix_table(study).loc["C0", ("bowl_wide", "ours")]
     assert cell == ".0400, 1 of 3 seeds"
 
 
-def test_counts_are_held_against_the_clean_bowl_not_its_homology(study, stairs):
-    table = bowls.verdict_table(study, stairs)
+def test_counts_are_held_against_the_bundle_not_the_disks_homology(study):
+    table = tables.verdict_table(study)
     assert (
         table.loc["bowl_narrow", "verdict"] == "pass"
         and table.loc["bowl_narrow", "paper's tails give"] == "pass"
     )
-    assert table.loc["bowl_narrow", "wrong count in C1, seeds"] == "none"
-    assert table.loc["bowl_narrow", "wrong count in C2, seeds"] == "0, 1, 2"
+    assert table.loc["bowl_narrow", "lost (seeds)"] == "C2 (0, 1, 2)"
+    assert table.loc["bowl_narrow", "phantoms (seeds)"] == "none"
     assert table.loc["bowl_wide", "verdict"] == "incomplete"

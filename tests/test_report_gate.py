@@ -19,7 +19,7 @@ def test_component_sizes_are_single_linkage():
 
 def test_a_bridge_is_cut_where_it_is_sparse_and_stands_where_it_is_dense():
     runs = gate.run_gate(("T4", "T4d"), record_every=200)
-    severed = gate.severed_table(runs, ("T4", "T4d"))
+    severed = gate.severed_table(runs)
     assert severed["the second one"].tolist() == ["a half", "a single point"]
     table = gate.gate_table(runs)
     assert table.loc["ours reaches it"].tolist() == [True, True] and table.loc[

@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 from paper_artifact.certify.certificate import certify
-from paper_artifact.report import group_wave, measured, staircase
-from paper_artifact.report.published import published
+from paper_artifact.report import group_wave, measured
+from paper_artifact.report.kit.published import published
+from paper_artifact.report.kit.staircase import agreement, staircases
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.study.dispositions import Disposition
 
@@ -22,9 +23,9 @@ def stored():
 
 
 def test_the_stored_staircases_are_what_a_measurement_gives(stored):
-    assert len(stored) == len(group_wave.SHAPES) * (40 + 3 * 5)
-    again = staircase.measure_all(("eight", "rocker-arm"), (2048,), (0, 7))
-    lines, difference = staircase.agreement(stored, again)
+    assert len(stored) == len(group_wave.external_shapes()) * (40 + 3 * 5)
+    again = staircases(("eight", "rocker-arm"), (2048,), (0, 7))
+    lines, difference = agreement(stored, again)
     assert lines == 4 and difference < 1e-4
 
 
@@ -36,14 +37,15 @@ def test_the_counts_of_seed_0_are_the_paper_s(stored):
         line = own.loc[(row.shape, row.samples)]
         bars = sum(line[f"h{int(row.dimension)}_{rank}"] > line["floor"] for rank in range(1, 5))
         assert bars + (row.dimension == 0) == row.value, row
-    table = group_wave.counts_table(stored)
+    table = group_wave.table_s11(stored)
     assert (table.loc[("eight", "ours")] == table.loc[("eight", "paper")]).all()
     assert ("bob", "paper") not in table.index and table.loc[("spot", "ours"), "M = 8192"] == "(1,0,2)"
 
 
 def test_the_quoted_bars_are_found(stored):
-    notes = ("loop 4", "second H2 bar", "void", "loop 3; half is the pin .0249", "")
-    assert [group_wave.rank_of(note) for note in notes] == [4, 2, 1, 3, 1]
+    notes = {"loop 4": 1, "second H2 bar": 2, "void": 2, "loop 3; half is the pin .0249": 1, "": 1}
+    found = [group_wave.noted_bar(note, dimension) for note, dimension in notes.items()]
+    assert found == ["loop 4", "void 2", "void 1", "loop 3", "loop 1"]
     table = group_wave.quoted_table(stored)
     assert len(table) == 20 and list(
         table.index[table["paper in range"] == "no"].get_level_values("shape")
@@ -57,7 +59,9 @@ def test_the_quoted_bars_are_found(stored):
 
 def test_pins_are_half_lifetimes_and_near_the_paper_s(stored):
     table = group_wave.pin_table(stored)
-    assert list(table.index) == list(group_wave.PINS)
+    pins = {"eight": "C0", "armadillo": "C0", "horse": "C0", "bob": "C2", "spot": "C2", "fandisk": "C2"}
+    assert table["of condition"].to_dict() == pins
+    assert table["bar"].tolist() == ["loop 3", "void 1", "void 1", "loop 2", "void 1", "void 1"]
     own = stored[(stored["shape"] == "eight") & (stored["samples"] == 20_000)]["h1_3"]
     assert float(table.loc["eight", "half its lifetime"]) == pytest.approx(own.mean() / 2, abs=5.1e-5)
     assert (
@@ -104,7 +108,7 @@ def test_dispositions_as_tables(monkeypatch, tmp_path):
         Disposition("max-planck", "fail: 161 open edges", "-", "not obtainable", None, None),
     ]
     monkeypatch.setattr(group_wave, "mesh_path", lambda key: tmp_path / f"{key}.ply")
-    table = group_wave.disposition_table(rows)
+    table = group_wave.table_s12(rows)
     assert table.loc["horse", "agrees"] == "yes" and table.loc["max-planck", "agrees"] == "—"
     assert table.loc["horse", "paper's origin"] == "CyberWare / GaTech"
     detail = group_wave.detail_table(rows)

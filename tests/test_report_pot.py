@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 import trimesh
 
-from paper_artifact.audit.audit import audit_mesh
+from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.ingest.hot_pot import pot_solid, raw_pot
 from paper_artifact.report import pot as report
-from paper_artifact.report.published import published
-from paper_artifact.report.runs import Collected, collect
+from paper_artifact.report.kit.published import published
+from paper_artifact.report.kit.records import Collected
+from paper_artifact.report.kit.staircase import DENSITIES
 from paper_artifact.scene.shapes import make_shape
 from tests import report_records
 
@@ -26,15 +27,13 @@ def stairs(solid):
     return report.staircases(solid.shell, (0, 1))
 
 
-def records(monkeypatch, **tails):
-    monkeypatch.setitem(report_records.DIMENSION, "pot", 2)
-    monkeypatch.setitem(report_records.BETTI, "pot", (1, 6, 1))
+def records(**tails):
     arms = [(name, seed, *scores) for name, scores in tails.items() for seed in range(3)]
     return Collected(tuple(report_records.study_record("pot", *arm) for arm in arms), ())
 
 
 def test_the_inventory_stands_beside_the_paper_s(solid, stairs, tmp_path, monkeypatch):
-    table = report.challenge_table(raw_pot(), solid, stairs, collect(report.RUNS, folder=tmp_path))
+    table = report.table_s4(raw_pot(), solid, stairs, report.collect_pot(folder=tmp_path))
     assert len(table) == published("S4")["quantity"].nunique()
     for same in ("open shells", "components", "genus", "betti"):
         assert table.loc[same, "paper's pot"] == table.loc[same, "stand-in"]
@@ -42,17 +41,18 @@ def test_the_inventory_stands_beside_the_paper_s(solid, stairs, tmp_path, monkey
         table.loc["raw vertices", "paper's pot"] == "6318" and table.loc["raw vertices", "stand-in"] == "1272"
     )
     assert table.loc["ratio C0 over C1", "stand-in"] == "no run recorded"
-    trained = records(monkeypatch, C0=(0.02, 0.004), C1=(0.005, 0.004), C2=(0.03, 0.006))
-    table = report.challenge_table(raw_pot(), solid, stairs, trained)
+    trained = records(C0=(0.02, 0.004), C1=(0.005, 0.004), C2=(0.03, 0.006))
+    table = report.table_s4(raw_pot(), solid, stairs, trained)
     assert table.loc["ratio C0 over C1", "stand-in"] == "4.0"
     assert table.loc["chamfer ratio to C0", "stand-in"].startswith("1.50, voids 1/1/1")
     assert "sha256" not in report.inventory_table(raw_pot(), solid).to_string()
 
 
 def test_the_staircase_is_the_paper_s(solid, stairs):
-    table = report.staircase_table(stairs)
-    assert (table["paper's pot"] == table["stand-in"]).all() and list(table.index) == list(report.DENSITIES)
-    assert report.margins(stairs, 8192, "h2_1").min() > 1 > report.margins(stairs, 4096, "h2_1").max()
+    table = report.table_s5(stairs)
+    assert (table["paper's pot"] == table["stand-in"]).all() and list(table.index) == list(DENSITIES)
+    margin = {samples: report.bar_values(stairs, samples, "void 1")["margin"] for samples in (4096, 8192)}
+    assert margin[8192].min() > 1 > margin[4096].max()
     voids = report.void_table(solid.shell, seeds=(0, 1))
     own = stairs[(stairs["samples"] == 8192) & (stairs["seed"] == 0)]
     assert voids.loc[0, "lifetime"] == pytest.approx(own["h2_1"].iloc[0], abs=1e-5)

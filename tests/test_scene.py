@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.cli import scene as verb
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import Mesh
-from paper_artifact.scene.build import SceneConfig, build_scene, mesh_hash, scene_folder, scene_key
+from paper_artifact.mesh import Mesh, mesh_hash
+from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder, scene_key
 from paper_artifact.scene.colmap import read_model, write_model
 from paper_artifact.scene.load import load_ground_truth, load_scene
 from paper_artifact.scene.shapes import make_shape

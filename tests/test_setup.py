@@ -23,6 +23,7 @@ case "$*" in
     "-m venv "*) [ -z "$STUB_NO_VENV" ] || { echo "Traceback: ensurepip is not available"; exit 1; }
                  mkdir -p "$3/bin" && cp "$STUB_SOURCE" "$3/bin/python" ;;
     "-m pip install -r "*) [ -z "$STUB_NO_NETWORK" ] || { echo "Traceback"; echo "ERROR: No matching distribution"; exit 1; } ;;
+    "-m ruff"*|"-m mypy"*) exit "${STUB_LINT:-0}" ;;
     "-m pytest"*) exit "${STUB_PYTEST:-0}" ;;
 esac
 """
@@ -50,10 +51,11 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
             f"run bash test.sh: environment.yml pins {name}=={version}"
         )
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-    named = {*project["dependencies"], *project["optional-dependencies"]["cluster"]}
-    assert named == set(pins()) - {"setuptools"}, (
-        "pyproject.toml names what environment.yml pins, dask in the extra"
-    )
+    extras = project["optional-dependencies"]
+    assert set(extras) == {"study", "dev", "cluster"}
+    named = [*project["dependencies"], *(name for names in extras.values() for name in names)]
+    assert len(named) == len(set(named)), "each package is named once"
+    assert set(named) == set(pins()) - {"setuptools"}, "pyproject.toml names what environment.yml pins"
     assert all(name.replace("-", "_").isidentifier() for name in named), "names only, no versions"
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["version"] == paper_artifact.__version__
@@ -145,14 +147,19 @@ def test_first_run_installs_the_pins_and_the_second_does_not(setup):
     assert not [call for call in setup.calls() if call.startswith("-m venv")], "into the same environment"
 
 
-def test_runs_pytest_and_nbval_and_passes_a_failure_on(setup):
+def test_runs_all_checks_and_passes_a_failure_on(setup):
+    checks = [
+        "-m ruff check .",
+        "-m mypy",
+        "-m pytest tests",
+        "-m pytest --nbval --nbval-current-env notebooks",
+    ]
     setup.add("python3.11")
     assert setup.run(script=".ci/run").returncode == 0
-    assert setup.calls()[-2:] == ["-m pytest tests", "-m pytest --nbval --nbval-current-env notebooks"]
-    assert setup.run(script=".ci/run", STUB_PYTEST="5").returncode == 5
-    assert len([call for call in setup.calls() if "pytest" in call]) == 2, (
-        "the notebooks are checked all the same"
-    )
+    assert setup.calls()[-4:] == checks
+    for variable in ("STUB_LINT", "STUB_PYTEST"):
+        assert setup.run(script=".ci/run", **{variable: "5"}).returncode == 5
+        assert setup.calls()[-4:] == checks, "what follows a failing check is run all the same"
 
 
 @pytest.mark.parametrize(

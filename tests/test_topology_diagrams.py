@@ -1,4 +1,4 @@
-"""Diagrams as tensors: the values of alpha_persistence, gradients against finite differences, the gate on degenerate clouds."""
+"""Diagrams as tensors: values of alpha_persistence, gradients by finite differences, degenerate clouds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_gradients_are_those_of_finite_differences():
 
 
 def test_scaling_the_points_scales_the_bars():
-    """Euler's identity: radii are homogeneous of degree 1, so points · gradient of a radius is the radius."""
+    """Euler's identity: radii are homogeneous of degree 1, so points · a radius's gradient is the radius."""
     points = cloud(200).requires_grad_()
     deaths = alpha_diagrams(points)[2].bars[:, 1]
     (gradient,) = torch.autograd.grad(deaths.sum(), points)

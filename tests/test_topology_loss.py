@@ -36,7 +36,16 @@ def handmade_bundle(
     bars = [np.zeros((0, 2))] * 3
     bars[dimension] = np.array(target, dtype=np.float64).reshape(-1, 2)
     return Bundle(
-        tuple(bars), (dimension,), ("", "", ""), samples, 0, floor, 6.0, diagonal, "handmade", "sha256:"
+        bars=tuple(bars),
+        dimensions=(dimension,),
+        reasons=("", "", ""),
+        samples=samples,
+        seed=0,
+        floor=floor,
+        floor_multiplier=6.0,
+        diagonal=diagonal,
+        shape="handmade",
+        source="sha256:",
     )
 
 
@@ -76,7 +85,7 @@ def test_loss_equals_the_equation_on_gudhis_diagram(void):
 
 
 def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
-    """Frozen pairs are locally exact: moving one used point a little changes the recomputed diagram as the gradient says."""
+    """Frozen pairs are locally exact: a used point moved a little moves the diagram as the gradient says."""
     bundle, live = void
     points = torch.tensor(live, requires_grad=True)
     loss = TopologyLoss(bundle)
@@ -114,9 +123,9 @@ def test_plan_value_gradcheck_with_every_kind_of_term():
 
 
 def test_lemma_1():
-    """Without recruitment the gradient is independent of an unmatched target; with it, it is not (paper, Lemma 1)."""
+    """Paper, Lemma 1: the gradient is independent of an unmatched target, unless bars are recruited."""
     generator = np.random.default_rng(0)
-    # One blob of two clumps: its longest finite H0 bar is below the floor, so the target component stays unmatched.
+    # One blob of two clumps: its longest finite H0 bar is below the floor, so the target stays unmatched.
     cloud = np.vstack([generator.random((40, 3)), generator.random((40, 3)) + [1.3, 0, 0]])
     gradients = {}
     for recruitment in (False, True):
@@ -218,15 +227,14 @@ class _FakePairs:
 
 @pytest.fixture
 def non_gabriel(monkeypatch):
-    """Edge 0-1 has point 2 inside its smallest sphere, so it enters with triangle 0-1-2; a far triangle kills the loop."""
+    """Edge 0-1 has point 2 inside its smallest sphere: it enters with 0-1-2; a far one kills the loop."""
     cloud = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0.5, 0], [9, 0, 0], [9, 6, 0], [13, 3, 1]])
     birth = 1.25  # circumradius of 0-1-2: sides 2, sqrt(1.25), sqrt(1.25), area .5
     edges = cloud[4:] - cloud[3]
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
     monkeypatch.setattr(
-        "paper_artifact.alpha.persistence.alpha_persistence",
-        lambda points, method="fast": (None, pairs, None),
+        "paper_artifact.topology.plan.alpha_persistence", lambda points, method="fast": (None, pairs, None)
     )
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 
@@ -252,14 +260,15 @@ def test_fallback_drop_takes_the_bar_out_before_the_matching(non_gabriel):
 
 
 def test_fallback_subgradient_differentiates_the_coface_that_sets_the_value(non_gabriel):
-    cloud, bundle, birth, death = non_gabriel
+    cloud, bundle, birth, _ = non_gabriel
     assert list(coface_of_value(cloud, np.array([0, 1]), birth)) == [0, 1, 2]
     assert coface_of_value(cloud, np.array([0, 1]), 1.9) is None
     plan = build_plan(cloud, bundle, LossConfig(fallback="subgradient"))
     assert plan.report["dimensions"]["1"]["gabriel_failures"] == 1
     points = torch.tensor(cloud[plan.used.numpy()], requires_grad=True)
     plan.value(points).backward()
-    # dL/d(p2) = 2 (birth - 1) dR/dp2; for this isosceles triangle R = h/2 + 1/(2h), h = 1/2 the height, so dR/dh = 1/2 - 1/(2h²).
+    # dL/d(p2) = 2 (birth - 1) dR/dp2; for this isosceles triangle R = h/2 + 1/(2h), h = 1/2 the height, so
+    # dR/dh = 1/2 - 1/(2h²).
     np.testing.assert_allclose(points.grad[2].numpy(), [0, 2 * (birth - 1) * (0.5 - 2.0), 0], atol=1e-12)
 
 

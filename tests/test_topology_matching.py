@@ -1,4 +1,4 @@
-"""Matching against brute force and gudhi's Wasserstein distance; recruitment against the paper's equation by hand."""
+"""Matching against brute force and gudhi's Wasserstein distance; recruitment against the paper's equation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_cost_equals_brute_force_on_the_papers_equation(live_count, target_count
 
 
 def test_equals_gudhi_wasserstein_with_its_diagonal_and_is_within_two_of_it_with_the_papers():
-    """With the Euclidean ground metric the diagonal is (d - b)²/2 away: that is W2. The paper's ((d - b)/2)² is half of it."""
+    """The Euclidean ground metric puts the diagonal (d - b)²/2 away: that is W2; half is the paper's."""
     for seed in range(5):
         generator = np.random.default_rng(seed)
         live, target = random_bars(generator, 12), random_bars(generator, 7)
@@ -70,7 +70,7 @@ def test_recruitment_is_greedy_by_decreasing_persistence_without_replacement():
         [[0.0, 0.25], [0.0, 0.50]]
     )  # the second, more persistent, chooses first and takes the bar at .30
     assert recruit(pool, missing) == [(0, 1), (1, 0)]
-    # Greedy, not optimal: .50 takes .48 and leaves .60 for .45 (.0229 in all); the other way round costs .0109.
+    # Greedy, not optimal: .50 takes .48 and leaves .60 for .45 (.0229 in all); the other way costs .0109.
     pool, missing = np.array([[0.0, 0.60], [0.0, 0.48]]), np.array([[0.0, 0.45], [0.0, 0.50]])
     assert recruit(pool, missing) == [(1, 1), (0, 0)]
     assert recruit(pool[:1], missing) == [(0, 1)]

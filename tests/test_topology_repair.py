@@ -32,7 +32,7 @@ def test_repairs_by_at_least_the_papers_factor(name, factor):
 
 
 def test_only_recruitment_moves_the_bridged_merge():
-    """Lemma 1 in practice: no significant live H0 bar against one target, so without recruitment nothing moves."""
+    """Lemma 1 in practice: no significant live H0 bar for the target, so nothing moves unless recruited."""
     probe = make_probe("T4")
     still = repair(probe, steps=20, recruitment=False)
     assert np.array_equal(still.final, still.start) and not still.recruited.any() and not still.loss.any()

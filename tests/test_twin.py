@@ -1,4 +1,4 @@
-"""The torch twin against outside references: ray casting, scipy, finite differences, closed forms, plain loops."""
+"""The torch twin against ray casting, scipy, finite differences, closed forms and plain loops."""
 
 from __future__ import annotations
 
@@ -255,7 +255,8 @@ def test_half_plane_moves_the_loss_by_colour_difference_times_edge_length_times_
     difference = float((weights[0, :, 0, 0] * (PALETTE[1] - PALETTE[0])).sum())
     assert float(gradient[0, :, 0].sum()) == pytest.approx(difference * size * pixels_per_unit, rel=1e-9)
     assert float(gradient[0, :, 1].abs().sum()) == pytest.approx(0, abs=1e-9)
-    # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 / distance per unit.
+    # Towards the camera everything grows about the image centre: the edge at .313 moves outwards by .313 /
+    # distance per unit.
     assert float(gradient[0, :, 2].sum()) == pytest.approx(
         -difference * size * pixels_per_unit * 0.313 / distance, rel=1e-9
     )
@@ -283,7 +284,7 @@ def project(points: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
 
 
 def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> torch.Tensor:
-    """Return the outline (k,2) in NDC of where triangle 0 of the scene is seen, as a function of the NDC corners (2,3,3)."""
+    """Return the outline (k,2) in NDC of where triangle 0 is seen, from the NDC corners (2,3,3)."""
     if edge == "border":
         return ndc[0, :, :2]
     if edge == "opacity":  # the line alpha = .5 cuts the sides 01 and 02
@@ -301,10 +302,10 @@ def visible_outline(edge: str, ndc: torch.Tensor, alpha_edge: torch.Tensor) -> t
 
 @pytest.mark.parametrize("edge", list(SCENES))
 def test_vertex_gradients_agree_with_the_derivative_of_the_exact_integral(edge):
-    """L = Σ linear weights · constant colours; the picture without pixels is a polygon whose integral is a closed form.
+    """L = Σ linear weights · constant colours; without pixels it is a polygon's integral, a closed form.
 
-    At a crossing line that is slanted in the image DiffSoup pushes z once for the row neighbours and once for the column
-    neighbours, so z counts about twice there: only x and y are compared on that line.
+    At a crossing line that is slanted in the image DiffSoup pushes z once for the row neighbours and once for
+    the column neighbours, so z counts about twice there: only x and y are compared on that line.
     """
     size, matrix = 256, front_camera(focal=2.6)[0]
     vertices = torch.tensor(SCENES[edge], dtype=torch.float64)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
 from paper_artifact.errors import InputError
-from paper_artifact.report.published import published
-from paper_artifact.study.tables import arm_table, arm_text, published_rows, verdict_table
+from paper_artifact.report.kit.frames import paper_verdicts
+from paper_artifact.report.kit.text import arm_text
 from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
 from tests.report_records import study_record
 
@@ -175,31 +174,11 @@ def test_rows_of_records():
 
 def test_transcribed_tables_give_the_same_verdicts():
     """The committed transcription of the paper's per-seed tables, through the same rule."""
-    judged = verdict(published_rows(pd.concat([published("S7"), published("S10")])))
+    judged = paper_verdicts("S7", "S10")
     expected = {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
     assert {shape: each.outcome for shape, each in judged.items()} == expected
     for shape, each in judged.items():
         assert each.arms["C1"].tails == PER_SEED[shape][2] and each.arms["C2"].tails == PER_SEED[shape][3]
-
-
-def test_tables_put_ours_beside_the_published():
-    ours = rows(
-        "cube", {"C0": 0.01, "C1": 0.009, "C2": 0.02}, C0=(0.05, 0.06), C1=(0.01, 0.012), C2=(0.13, 0.13)
-    )
-    both = pd.concat([published("1"), published("S7")])
-    table = arm_table(pd.DataFrame(ours), both).set_index("condition")
-    assert table.loc["C1", "mean"] == pytest.approx(0.011) and table.loc["C1", "ratio"] == pytest.approx(5.0)
-    assert (table.loc["C1", "published mean"], table.loc["C1", "published sd"]) == (0.0074, 0.0011)
-    assert table.loc["C1", "published ratio"] == pytest.approx(7.9, abs=0.06)
-    layout = verdict_table(ours, both)
-    assert list(layout["source"]) == ["ours", "published"] and list(layout["verdict"]) == ["pass", "pass"]
-    assert layout.loc[0, "C1"] == ".0110±.0014 (5.00×)" and layout.loc[0, "Chamfer C1/C0"] == "0.90"
-    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "C2"] == ".1346±.0000 (0.43×)"
-    assert arm_table(ours, published("S7")).set_index("condition").loc[
-        "C1", "published mean"
-    ] == pytest.approx(0.00737, abs=1e-5)
-    layout = verdict_table(ours, published("1"))  # means only: the rule has nothing to judge
-    assert layout.loc[1, "C1"] == ".0074±.0011 (7.86×)" and layout.loc[1, "verdict"] == ""
 
 
 def test_every_arm_of_a_shape_is_counted_against_the_same_number():

@@ -1,14 +1,16 @@
 """Circumradii of edges, triangles and tetrahedra with a closed-form gradient.
 
-Paper §3.2, equation of the radii: a Gabriel simplex enters the alpha filtration at its squared circumradius, so a paired
-bar's coordinates are functions of 1 to 4 sample positions. Everything here is a RADIUS, in the unit of the positions.
+Paper §3.2, equation of the radii: a Gabriel simplex enters the alpha filtration at its squared circumradius,
+so a paired bar's coordinates are functions of 1 to 4 sample positions. Everything here is a RADIUS, in the
+unit of the positions.
 
-Gradient. With circumcentre c = Σ β_i p_i, Σ β_i = 1, and R² = |p_i - c|² for every i, weighting the differentials by β
-cancels dc, because Σ β_i (p_i - c) = 0, and leaves dR/dp_i = β_i (p_i - c) / R. One formula for every dimension; for a
-critical simplex (circumcentre inside, β ≥ 0) no corner's gradient is longer than 1.
+Gradient. With circumcentre c = Σ β_i p_i, Σ β_i = 1, and R² = |p_i - c|² for every i, weighting the
+differentials by β cancels dc, because Σ β_i (p_i - c) = 0, and leaves dR/dp_i = β_i (p_i - c) / R. One
+formula for every dimension; for a critical simplex (circumcentre inside, β ≥ 0) no corner's gradient is
+longer than 1.
 
-Where this breaks: a flat tetrahedron or a collinear triangle has no circumcentre; its radius is inf and its gradient 0,
-so the Gabriel gate refuses it and no NaN reaches the vertices.
+Where this breaks: a flat tetrahedron or a collinear triangle has no circumcentre; its radius is inf and its
+gradient 0, so the Gabriel gate refuses it and no NaN reaches the vertices.
 """
 
 from __future__ import annotations
@@ -22,10 +24,10 @@ from paper_artifact.errors import InputError
 
 
 def circumradius(corners: Tensor) -> Tensor:
-    """Return the circumradii (n,) of simplices with `corners` (n,k,3), k = 1 (radius 0), 2, 3 or 4; same dtype and device.
+    """Return the circumradii (n,) of simplices with `corners` (n,k,3), k = 1 (radius 0), 2, 3 or 4.
 
-    Differentiable once, by the closed form above. Use float64: the Gabriel gate compares at 1e-6.
-    Raises InputError for another shape or an integer dtype.
+    Dtype and device are those of the corners. Differentiable once, by the closed form above. Use float64: the
+    Gabriel gate compares at 1e-6. Raises InputError for another shape or an integer dtype.
     """
     if (
         corners.ndim != 3
@@ -34,13 +36,14 @@ def circumradius(corners: Tensor) -> Tensor:
         or not corners.is_floating_point()
     ):
         raise InputError(
-            f"corners must be floating point of shape (n, 1 to 4, 3), got {corners.dtype} {tuple(corners.shape)}"
+            "corners must be floating point of shape (n, 1 to 4, 3), "
+            f"got {corners.dtype} {tuple(corners.shape)}"
         )
     return _Circumradius.apply(corners)
 
 
 def radius_and_gradient(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the circumradii (n,) and their gradients (n,k,3) by `corners` (n,k,3) float64 numpy, k = 1, 2, 3 or 4."""
+    """Return the circumradii (n,) and their gradients (n,k,3) by `corners` (n,k,3) float64, k = 1 to 4."""
     with np.errstate(all="ignore"):  # a flat simplex overflows on purpose and is masked in `_finish`
         return _KERNELS[corners.shape[1]](corners)
 
@@ -101,7 +104,9 @@ def _tetrahedron(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _finish(
     relative: np.ndarray, centre: np.ndarray, weights: np.ndarray, radius: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (radius, β_i (p_i - c) / R), with inf and 0 where the simplex is flat or the arithmetic overflowed."""
+    """Return (radius, β_i (p_i - c) / R), inf and 0 where the simplex is flat or the arithmetic
+    overflowed.
+    """
     gradient = weights[:, :, None] * (relative - centre[:, None]) / radius[:, None, None]
     bad = ~(np.isfinite(radius) & np.isfinite(gradient).all(axis=(1, 2)))
     if bad.any():

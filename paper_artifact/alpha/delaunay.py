@@ -1,9 +1,10 @@
 """Three-dimensional Delaunay triangulation by incremental insertion, exact for every input.
 
-Bowyer-Watson insertion in biased randomised Hilbert order with a walk for location. Outside the convex hull lie "infinite"
-tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point counts as lifted infinitesimally
-higher on the paraboloid than all earlier ones, so a point on a sphere is outside it; the result is a regular triangulation of
-the perturbed lift, has no flat tetrahedron, and the alpha persistence diagram does not depend on the choice.
+Bowyer-Watson insertion in biased randomised Hilbert order with a walk for location. Outside the convex hull
+lie "infinite" tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point
+counts as lifted infinitesimally higher on the paraboloid than all earlier ones, so a point on a sphere is
+outside it; the result is a regular triangulation of the perturbed lift, has no flat tetrahedron, and the
+alpha persistence diagram does not depend on the choice.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from numba import njit
 from paper_artifact.alpha.expansions import WORKSPACE
 from paper_artifact.alpha.predicates import insphere, orient3d
 
-INFINITE = -1
-DEAD = -2
+INFINITE = -1  # the last vertex of a cell outside the hull
+DEAD = -2  # the first vertex of an unused row
 
-
-# the first tetrahedron (0, 1, 2, 3) and the four infinite cells around it: vertices, then the neighbours opposite to them
+# The first tetrahedron (0, 1, 2, 3) and the four infinite cells around it: vertices, then the neighbours
+# opposite to them.
 START = np.array(
     [
         [0, 1, 2, 3, 1, 2, 3, 4],
@@ -32,8 +33,10 @@ START = np.array(
 
 
 def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
-    """Whether three points (3, 3) are exactly collinear: all coordinate projections have zero area, each read off an
-    orientation with a fourth point above."""
+    """Return whether three points (3, 3) are exactly collinear.
+
+    They are when all coordinate projections have zero area, each read off an orientation with a point above.
+    """
     for axis in range(3):
         lifted = np.zeros((4, 3))
         lifted[:3, :2] = np.delete(points, axis, axis=1)
@@ -44,9 +47,10 @@ def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
 
 
 def first_tetrahedron(points: np.ndarray, order: np.ndarray) -> bool:
-    """Bring four affinely independent rows, positively oriented, to the front of points (n, 3) and of order (n,), both IN PLACE.
+    """Bring four affinely independent rows, positively oriented, to the front; return whether there are any.
 
-    False when there are none: fewer than four points, or all exactly coplanar.
+    There are none in fewer than four points, or when all are exactly coplanar. Changes points (n, 3) and
+    order (n,) IN PLACE.
     """
     ws = np.empty(WORKSPACE)
 
@@ -74,20 +78,21 @@ def first_tetrahedron(points: np.ndarray, order: np.ndarray) -> bool:
 
 @njit("boolean(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
 def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
-    """Whether p destroys cell t: p inside its sphere; for an infinite cell, p beyond its hull triangle or inside its circle."""
+    """Return whether p destroys cell t: p inside its sphere, or, for an infinite cell, beyond its triangle.
+
+    In the plane of the triangle, inside its circle: that is where the plane meets the inner cell's sphere.
+    """
     if mesh[t, 3] == INFINITE:
         side = orient3d(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], p, ws)
         if side != 0.0:
             return side > 0.0
-        t = mesh[
-            t, 7
-        ]  # p in the plane of the hull triangle: its circle is where the plane meets this cell's sphere
+        t = mesh[t, 7]
     return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
 
 
 @njit("int32(float64[:,::1], int32[:,::1], int32, int64, float64[::1])", cache=True, nogil=True)
 def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
-    """Walk from cell t to the finite cell that contains p, or to an infinite one whose triangle p lies beyond."""
+    """Walk from cell t; return the finite cell that contains p, or an infinite one p lies beyond."""
     if mesh[t, 3] == INFINITE:
         t = mesh[t, 7]
     previous = -1
@@ -127,12 +132,13 @@ def _grown(array: np.ndarray, rows: int) -> np.ndarray:
 
 @njit("Tuple((int32[:,::1], int64))(float64[:,::1])", cache=True, nogil=True)
 def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
-    """Delaunay tetrahedra of (n, 3) float64 points, n >= 4, scaled as ordering.normalised does, inserted in the order given;
-    the first four rows are affinely independent and positively oriented (first_tetrahedron).
+    """Return the Delaunay tetrahedra of `points` and the number of distinct points.
 
-    Returns mesh (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively oriented,
-    infinite cells with vertex -1 in column 3, unused rows with -2 in column 0; and the number of distinct points. A row that
-    exactly duplicates an earlier one is in no cell.
+    points: (n, 3) float64, n >= 4, scaled as ordering.normalised does, inserted in the order given; the first
+    four rows are affinely independent and positively oriented (first_tetrahedron). The tetrahedra are a mesh
+    (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively
+    oriented, infinite cells with vertex -1 in column 3, unused rows with -2 in column 0. A row that exactly
+    duplicates an earlier one is in no cell.
     """
     n = len(points)
     ws = np.empty(WORKSPACE)
@@ -199,9 +205,8 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 rim[faces, 4] = 4 * t + i
                 rim[faces, 5] = other
                 faces += 1
-        for f in range(
-            faces
-        ):  # the outside cells still name the old ones: find the slot before those are overwritten
+        # The outside cells still name the old ones: find the slot before those are overwritten.
+        for f in range(faces):
             other = rim[f, 5]
             old, i = rim[f, 4] // 4, rim[f, 4] % 4
             for j in range(4):
@@ -237,9 +242,8 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
             mesh[t, 4 + i] = other
             mesh[other, 4 + back] = t
             last = t
-            for j in range(
-                4
-            ):  # the triangle opposite j holds p and an edge of the rim, which one other new cell has as well
+            # The triangle opposite j holds p and an edge of the rim, which one other new cell has as well.
+            for j in range(4):
                 if j == i:
                     continue
                 u, v = -1, -1
@@ -265,10 +269,11 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
 
 @njit(cache=True, nogil=True)
 def finite_cells(mesh: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The finite cells of `triangulate` with row v renamed rank[v], sorted by their smallest vertex so that near cells are
-    near in memory.
+    """Return the finite cells (m, 4) of `triangulate` and their neighbours (m, 4), -1 outside the hull;
+    int32.
 
-    rank: (n,) int32, a permutation. Returns cells (m, 4) and neighbours (m, 4), int32, -1 for the outside of the hull.
+    Row v is renamed rank[v] (rank: (n,) int32, a permutation). The cells are sorted by their smallest vertex,
+    so that near cells are near in memory.
     """
     used = len(mesh)
     firsts = np.full(used, np.int32(-1))

@@ -1,10 +1,11 @@
-"""Persistence diagrams of a point tensor with gradients: births and deaths as closed-form circumradii (paper §3.2).
+"""Persistence diagrams of a point tensor with gradients: closed-form circumradii (paper §3.2).
 
     loops = alpha_diagrams(points)[1]
     (loops.bars[:, 1] - loops.bars[:, 0]).square().sum().backward()
 
-Where this breaks: the pairing is that of the points as they are; a gradient step may change it, so call again after every step
-(`TopologyLoss` keeps its plan for a few steps instead). Bars of length zero are not there, so they get no gradient.
+Where this breaks: the pairing is that of the points as they are; a gradient step may change it, so call again
+after every step (`TopologyLoss` keeps its plan for a few steps instead). Bars of length zero are not there,
+so they get no gradient.
 """
 
 from __future__ import annotations
@@ -22,22 +23,21 @@ from paper_artifact.alpha.persistence import alpha_persistence
 
 @dataclass(frozen=True, eq=False)
 class DiagramTensor:
-    """The finite bars of one dimension. bars (k,2): birth and death, RADII in the points' unit, dtype and device of the points;
-    gabriel (k,2) bool: whether that value is its simplex's own circumradius; where it is not, the value is a constant."""
+    """The k finite bars of one dimension."""
 
-    bars: Tensor
-    gabriel: Tensor
+    bars: Tensor  # (k,2) births and deaths, RADII in the points' unit; dtype and device of the points
+    gabriel: Tensor  # (k,2) bool: is the value its simplex's own circumradius; where not, it is a constant
 
     def __len__(self) -> int:
         return len(self.bars)
 
 
 def alpha_diagrams(points: Tensor) -> tuple[DiagramTensor, DiagramTensor, DiagramTensor]:
-    """Return the alpha diagrams of dimensions 0, 1, 2 of `points` (n,3), any float dtype and device, differentiable (once) by
-    the points.
+    """Return the alpha diagrams of dimensions 0, 1, 2 of `points` (n,3), differentiable (once) by the points.
 
-    Computed in double precision on the CPU (`alpha_persistence`). A value that fails the Gabriel gate, relative 1e-6, is
-    detached. Raises InputError as `alpha_persistence` does: other shapes, NaN.
+    Any float dtype and device; computed in double precision on the CPU (`alpha_persistence`). A value that
+    fails the Gabriel gate, relative 1e-6, is detached. Raises InputError as `alpha_persistence` does: other
+    shapes, NaN.
     """
     cloud = points.to("cpu", torch.float64)
     made = []

@@ -1,14 +1,15 @@
-"""Exact arithmetic for the geometric predicates: error-free transformations, double-double numbers, floating-point expansions.
+"""Exact arithmetic for the geometric predicates: double-double numbers and floating-point expansions.
 
-A formula is written once, as a `Formula` of sums and products of coordinate differences, and evaluated in either arithmetic by a
-small interpreter: the rare path stays short to compile.
+A formula is written once, as a `Formula` of sums and products of coordinate differences, and evaluated in
+either arithmetic by a small interpreter: the rare path stays short to compile.
 
-An expansion is a sum of doubles, smallest first, that do not overlap: it holds a real number exactly (Shewchuk, "Adaptive
-Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997). A double-double is the rounded sum of two.
-Exact as long as nothing over- or underflows: the caller scales coordinates to about 1 and keeps them multiples of 2^-120
-(ordering.normalised).
+An expansion is a sum of doubles, smallest first, that do not overlap: it holds a real number exactly
+(Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997). A
+double-double is the rounded sum of two. Exact as long as nothing over- or underflows: the caller scales
+coordinates to about 1 and keeps them multiples of 2^-120 (ordering.normalised).
 
-Expansions live in a workspace `ws` (float64); register r of a formula is `loc[r] = (offset, length)`, a zero has length 0.
+Expansions live in a workspace `ws` (float64); register r of a formula is `loc[r] = (offset, length)`, a zero
+has length 0.
 """
 
 from __future__ import annotations
@@ -16,16 +17,15 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, int64, njit, types
 
-WORKSPACE = (
-    1 << 21
-)  # doubles; the longest expansion of the predicates (a Gabriel sign with nothing cancelling) needs half of it
-SPLITTER = 134217729.0  # 2^27 + 1
+# Doubles of a workspace; the longest expansion (a Gabriel sign with nothing cancelling) needs half of it.
+WORKSPACE = 1 << 21
+SPLITTER = 134217729.0  # 2^27 + 1: splits a double into two halves (Dekker)
 _STEPS = types.Array(int64, 2, "C", readonly=True)  # numba's type of a global array
 
 
 @njit(cache=True, nogil=True)
 def two_sum(a: float, b: float) -> tuple[float, float]:
-    """(s, e) with s = fl(a + b) and s + e = a + b exactly."""
+    """Return (s, e) with s = fl(a + b) and s + e = a + b exactly."""
     s = a + b
     bb = s - a
     return s, (a - (s - bb)) + (b - bb)
@@ -33,7 +33,7 @@ def two_sum(a: float, b: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def two_product(a: float, b: float) -> tuple[float, float]:
-    """(p, e) with p = fl(a b) and p + e = a b exactly (Dekker)."""
+    """Return (p, e) with p = fl(a b) and p + e = a b exactly (Dekker)."""
     p = a * b
     t = SPLITTER * a
     ah = t - (t - a)
@@ -46,7 +46,7 @@ def two_product(a: float, b: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def dd_add(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:
-    """Sum of two double-doubles; relative error below 2^-103."""
+    """Return the sum of two double-doubles; relative error below 2^-103."""
     s, e = two_sum(x[0], y[0])
     t, f = two_sum(x[1], y[1])
     e += t
@@ -58,7 +58,7 @@ def dd_add(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float
 
 @njit(cache=True, nogil=True)
 def dd_mul(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:
-    """Product of two double-doubles; relative error below 2^-102."""
+    """Return the product of two double-doubles; relative error below 2^-102."""
     p, e = two_product(x[0], y[0])
     e += x[0] * y[1] + x[1] * y[0]
     s = p + e
@@ -67,7 +67,7 @@ def dd_mul(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float
 
 @njit("int64(float64[::1], int64, int64, int64, int64, int64)", cache=True, nogil=True)
 def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
-    """ws[h:] = the sum of two expansions, zeros left out; returns its length (Shewchuk's fast expansion sum)."""
+    """Write the sum of two expansions to ws[h:], zeros left out; return its length (Shewchuk, fast sum)."""
     i = j = n = 0
     q = 0.0
     for step in range(ne + nf):
@@ -92,7 +92,7 @@ def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
 
 @njit("int64(float64[::1], int64, int64, float64, int64)", cache=True, nogil=True)
 def _scale(ws: np.ndarray, e: int, ne: int, b: float, h: int) -> int:
-    """ws[h:] = b times an expansion, zeros left out; returns its length."""
+    """Write b times an expansion to ws[h:], zeros left out; return its length."""
     if ne == 0 or b == 0.0:
         return 0
     n = 0
@@ -120,26 +120,26 @@ ADD, SUBTRACT, MULTIPLY = 0, 1, 2
 
 
 class Formula:
-    """A polynomial of difference vectors, recorded as steps (operation, register, register, result register)."""
+    """A polynomial of difference vectors, recorded as steps (operation, register, register, result)."""
 
     def __init__(self, vectors: int) -> None:
-        """`vectors` difference vectors are the inputs; vector i has the registers 3i, 3i+1, 3i+2."""
+        """Begin with `vectors` difference vectors as inputs; vector i has the registers 3i, 3i+1, 3i+2."""
         self.inputs = [(3 * i, 3 * i + 1, 3 * i + 2) for i in range(vectors)]
         self.registers = 3 * vectors
         self.rows: list[tuple[int, int, int, int]] = []
 
     def step(self, operation: int, i: int, j: int) -> int:
-        """The register of `i operation j`."""
+        """Record `i operation j` and return its register."""
         self.rows.append((operation, i, j, self.registers))
         self.registers += 1
         return self.registers - 1
 
     def minor(self, a: int, b: int, c: int, d: int) -> int:
-        """a b - c d."""
+        """Record a b - c d and return its register."""
         return self.step(SUBTRACT, self.step(MULTIPLY, a, b), self.step(MULTIPLY, c, d))
 
     def cross(self, u: tuple, v: tuple) -> tuple[int, int, int]:
-        """Cross product of two vectors."""
+        """Record the cross product of two vectors and return its registers."""
         return (
             self.minor(u[1], v[2], u[2], v[1]),
             self.minor(u[2], v[0], u[0], v[2]),
@@ -147,24 +147,24 @@ class Formula:
         )
 
     def total(self, *terms: int) -> int:
-        """Sum of registers."""
+        """Record the sum of registers and return its register."""
         register = terms[0]
         for term in terms[1:]:
             register = self.step(ADD, register, term)
         return register
 
     def dot(self, u: tuple, v: tuple) -> int:
-        """Dot product of two vectors."""
-        return self.total(*(self.step(MULTIPLY, a, b) for a, b in zip(u, v)))
+        """Record the dot product of two vectors and return its register."""
+        return self.total(*(self.step(MULTIPLY, a, b) for a, b in zip(u, v, strict=True)))
 
     def steps(self) -> np.ndarray:
-        """(steps, 4) int64; the value of the formula is the result of the last step."""
+        """Return the steps (s, 4) int64; the value of the formula is the result of the last step."""
         return np.array(self.rows, dtype=np.int64)
 
 
 @njit("int64(float64[::1], int64[:,::1], int64, int64, int64)", cache=True, nogil=True)
 def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
-    """ws[top:] = register i times register j; returns its length."""
+    """Write register i times register j to ws[top:]; return its length."""
     e, ne, f, nf = loc[i, 0], loc[i, 1], loc[j, 0], loc[j, 1]
     if ne < nf:
         e, ne, f, nf = f, nf, e, ne
@@ -185,10 +185,10 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
 def exact(
     points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray
 ) -> float:
-    """A formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded: the sign is right, the error below
-    2^-51.
+    """Return a formula of the vectors points[rows[i]] - points[rows[-1]], exact and then rounded.
 
-    values: (registers, 2) float64, filled with every step's rounded value (and 0).
+    The sign is right, the relative error below 2^-51. values: (registers, 2) float64, filled with every
+    step's rounded value (and 0).
     """
     vectors = len(rows) - 1
     loc = np.empty((3 * vectors + len(steps), 2), dtype=np.int64)
@@ -229,7 +229,7 @@ def exact(
 
 @njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[:, ::1]), cache=True, nogil=True)
 def evaluate(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, values: np.ndarray) -> float:
-    """A formula of the vectors points[rows[i]] - points[rows[-1]] in double-doubles, rounded to a double.
+    """Return a formula of the vectors points[rows[i]] - points[rows[-1]] in double-doubles, rounded.
 
     values: (registers, 2) float64, filled with every register's value. The vectors themselves are exact.
     """

@@ -1,7 +1,8 @@
-"""The fast alpha persistence: triangulation, filtration, reduction, one after the other, with marks for the benchmark.
+"""The fast alpha persistence: triangulation, filtration and reduction, one after the other.
 
-The compiled code is cached beside the modules (numba, __pycache__), about 20 s of CPU the first time. numba looks for changes in
-the module of each function only: after an edit of expansions, predicates or ordering, remove the cache.
+The compiled code is cached beside the modules (numba, __pycache__), about 20 s of CPU the first time. numba
+looks for changes in the module of each function only: after an edit of expansions, predicates or ordering,
+remove the cache.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from paper_artifact.alpha.expansions import WORKSPACE
 
 
 def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
-    """For dimensions 0, 1, 2: (births, deaths, birth simplices, death simplices), SQUARED radii in the unit of the points
-    squared and row indices of `points`; births < deaths in dimensions 1 and 2. None when the points span no tetrahedron.
+    """Return (births, deaths, birth simplices, death simplices) of dimensions 0, 1, 2.
 
-    points: (n, 3) float64, finite. `marks` receives the process' CPU time at the start of each stage of persistence.STAGES.
+    Births and deaths are SQUARED radii in the unit of the points squared, births < deaths in dimensions 1 and
+    2; simplices are row indices of `points`. None when the points span no tetrahedron.
+    points: (n, 3) float64, finite. `marks` receives the process' CPU time at the start of each stage of
+    persistence.STAGES.
     """
     marks.append(time.process_time())
     scaled, unit = ordering.normalised(points)
@@ -29,9 +32,8 @@ def squared_pairs(points: np.ndarray, marks: list[float]) -> tuple | None:
     if not delaunay.first_tetrahedron(ordered, order):
         return None
     mesh, distinct = delaunay.triangulate(ordered)
-    along = ordering.insertion_order(
-        ordered, 0
-    )  # from here on the vertices follow the Hilbert curve: fewer cache misses
+    # From here on the vertices follow the Hilbert curve: fewer cache misses.
+    along = ordering.insertion_order(ordered, 0)
     rank = np.empty_like(along)
     rank[along] = np.arange(len(along), dtype=np.int32)
     order, ordered = order[along], np.ascontiguousarray(ordered[along])

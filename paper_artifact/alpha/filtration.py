@@ -1,10 +1,11 @@
-"""The alpha filtration on a Delaunay triangulation: triangles, edges and every simplex' value, a squared radius.
+"""The alpha filtration on a Delaunay triangulation: triangles, edges, every simplex's squared radius.
 
-A tetrahedron has its squared circumradius; a triangle or edge its own if it is Gabriel (no coface's opposite vertex strictly
-inside its smallest circumsphere; decided exactly), else the smallest value of its cofaces. A value never exceeds a coface's.
+A tetrahedron has its squared circumradius; a triangle or edge its own if it is Gabriel (no coface's opposite
+vertex strictly inside its smallest circumsphere; decided exactly), else the smallest value of its cofaces. A
+value never exceeds a coface's.
 
-Accuracy: float64 for a well-shaped simplex, judged by its determinant; double-doubles for a flat one; exact expansions for one
-flat beyond that. Squared radii carry a relative error below 1e-10, mostly 1e-15.
+Accuracy: float64 for a well-shaped simplex, judged by its determinant; double-doubles for a flat one; exact
+expansions for one flat beyond that. Squared radii carry a relative error below 1e-10, mostly 1e-15.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from numba import njit
 from paper_artifact.alpha.expansions import Formula, evaluate, exact
 from paper_artifact.alpha.predicates import edge_excludes, triangle_excludes
 
-FLAT = 1e-4  # relative determinant below which a circumradius is evaluated in double-doubles (float64: 1e-15 / FLAT at most)
-FLATTER = 1e-18  # ... and in exact expansions (double-doubles: 1e-30 / FLATTER at most)
+# Relative determinants below which a circumradius is evaluated in double-doubles (the error in float64 is at
+# most 1e-15 / FLAT), and in exact expansions (in double-doubles at most 1e-30 / FLATTER).
+FLAT, FLATTER = 1e-4, 1e-18
 
 
 def _circumcentre() -> tuple[np.ndarray, np.ndarray]:
-    """Steps for a tetrahedron with difference vectors u, v, w, and the registers of N = |u|²(v x w) + |v|²(w x u) + |w|²(u x
-    v), twice the determinant times the vector to the circumcentre; the determinant u·(v x w) comes last."""
+    """Return the steps for a tetrahedron with difference vectors u, v, w, and the registers of
+    N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), twice the determinant times the vector to the circumcentre.
+
+    The determinant u·(v x w) is the last step.
+    """
     formula = Formula(3)
     u, v, w = formula.inputs
     vw, wu, uv = formula.cross(v, w), formula.cross(w, u), formula.cross(u, v)
@@ -32,7 +37,7 @@ def _circumcentre() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _normal() -> tuple[np.ndarray, np.ndarray]:
-    """Steps for a triangle with difference vectors u, v, and the registers of u x v."""
+    """Return the steps for a triangle with difference vectors u, v, and the registers of u x v."""
     formula = Formula(2)
     normal = formula.cross(*formula.inputs)
     return formula.steps(), np.array(normal, dtype=np.int64)
@@ -44,7 +49,10 @@ TRIANGLE, NORMAL = _normal()
 
 @njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
-    """Squared circumradius of a tetrahedron that is not exactly flat, given by row indices; infinite when it overflows."""
+    """Return the squared circumradius of a tetrahedron, not exactly flat, given by row indices.
+
+    Infinite when it overflows.
+    """
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
@@ -68,7 +76,9 @@ def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np
 
 @njit("float64(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
-    """Squared circumradius of a triangle whose corners are not exactly collinear, given by row indices."""
+    """Return the squared circumradius of a triangle whose corners are not exactly collinear, given by row
+    indices.
+    """
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
@@ -88,8 +98,11 @@ def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -
 
 @njit(cache=True, nogil=True)
 def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles of (m, 4) cells: (cell_triangles (m, 4), triangle opposite each vertex; triangles (k, 3) vertices; sides
-    (k, 2), the cells on both sides, -1 outside the hull), all int32."""
+    """Return (cell_triangles, triangles, sides) of (m, 4) cells, all int32.
+
+    cell_triangles (m, 4): the triangle opposite each vertex; triangles (k, 3): vertices; sides (k, 2): the
+    cells on both sides, -1 outside the hull.
+    """
     m = len(cells)
     hull = 0
     for t in range(m):
@@ -122,7 +135,10 @@ def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @njit(cache=True, nogil=True)
 def edges_of(triangles: np.ndarray, vertex_count: int, edge_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(triangle_edges (k, 3), edge opposite each corner; edges (edge_count, 2) vertices), int32; `edge_count` is exact."""
+    """Return (triangle_edges (k, 3): edge opposite each corner; edges (edge_count, 2): vertices), int32.
+
+    edge_count is exact (Euler).
+    """
     table = 1024
     while table < 2 * edge_count:
         table *= 2
@@ -158,7 +174,9 @@ def values(
     of_triangle: np.ndarray,
     ws: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Squared radii of cells (m,), triangles (k,) and edges (e,), float64, in the unit of `points` squared."""
+    """Return the squared radii of cells (m,), triangles (k,) and edges (e,), float64, unit of `points`
+    squared.
+    """
     m, k, e = len(cells), len(triangles), len(edges)
     cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.empty(e)
     for t in range(m):

@@ -7,14 +7,16 @@ from numba import njit
 
 ROUNDS = 5  # biased randomised rounds: the last holds half of the points, the one before a quarter, ...
 HILBERT_BITS = 16  # per axis
+DIGITS = 6  # of 11 bits, in a 64-bit sort key
 
 
 def normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """(scaled points, unit) with points = unit * scaled: unit a power of two, scaled coordinates in [-1, 1] and multiples of
-    2^-120.
+    """Return (scaled points, unit) with points = unit * scaled.
 
-    points: (n, 3) float64, finite. The products of the exact predicates then neither over- nor underflow. Scaling is exact; only
-    coordinates below 2^-67 of the largest are rounded, by at most 2^-121 of it, which moves no bar by more.
+    The unit is a power of two, scaled coordinates lie in [-1, 1] and are multiples of 2^-120.
+    points: (n, 3) float64, finite. The products of the exact predicates then neither over- nor underflow.
+    Scaling is exact; only coordinates below 2^-67 of the largest are rounded, by at most 2^-121 of it, which
+    moves no bar by more.
     """
     largest = float(np.abs(points).max(initial=0.0))
     if largest == 0.0:
@@ -28,15 +30,18 @@ def normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 @njit("int32[::1](uint64[::1])", cache=True, nogil=True)
 def sort_keys(keys: np.ndarray) -> np.ndarray:
-    """The stable increasing order of (n,) uint64 `keys`: (n,) int32, a radix sort that leaves out constant digits."""
+    """Return the stable increasing order (n,) int32 of (n,) uint64 `keys`.
+
+    A radix sort by DIGITS digits of 11 bits that leaves out constant ones.
+    """
     n = len(keys)
-    counts = np.zeros((6, 2048), dtype=np.int32)
+    counts = np.zeros((DIGITS, 2048), dtype=np.int32)
     for i in range(n):
-        for digit in range(6):
+        for digit in range(DIGITS):
             counts[digit, (keys[i] >> np.uint64(11 * digit)) & np.uint64(2047)] += 1
     order, other_order = np.arange(n).astype(np.int32), np.empty(n, dtype=np.int32)
     here, other = keys.copy(), np.empty(n, dtype=np.uint64)
-    for digit in range(6):
+    for digit in range(DIGITS):
         count = counts[digit]
         shift = np.uint64(11 * digit)
         if n == 0 or count[(keys[0] >> shift) & np.uint64(2047)] == n:
@@ -59,7 +64,7 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
 
 @njit("int64(int64, int64, int64)", cache=True, nogil=True)
 def _hilbert(x: int, y: int, z: int) -> int:
-    """The Hilbert index of a cell (Skilling, "Programming the Hilbert curve", 2004); HILBERT_BITS bits per axis."""
+    """Return the Hilbert index of a cell with HILBERT_BITS bits per axis (Skilling 2004)."""
     cell = np.empty(3, dtype=np.int64)
     cell[0], cell[1], cell[2] = x, y, z
     q = 1 << (HILBERT_BITS - 1)
@@ -89,11 +94,11 @@ def _hilbert(x: int, y: int, z: int) -> int:
 
 
 def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
-    """The order in which to insert (n, 3) float64 points: (n,) int32. n > 0.
+    """Return the order (n,) int32 in which to insert `points` (n, 3) float64, n > 0.
 
-    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over rounds that
-    double in size, and each round follows the Hilbert curve, so the next point is close to the last.
-    With `rounds` = 0 the plain Hilbert order.
+    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the index spreads the points over
+    rounds that double in size, and each round follows the Hilbert curve, so the next point is close to the
+    last. With `rounds` = 0 the plain Hilbert order.
     """
     low = points.min(axis=0)
     extent = float((points.max(axis=0) - low).max())
@@ -103,7 +108,7 @@ def insertion_order(points: np.ndarray, rounds: int) -> np.ndarray:
 
 @njit("uint64[::1](int64[:,::1], int64)", cache=True, nogil=True)
 def _keys(cells: np.ndarray, rounds: int) -> np.ndarray:
-    """The sort keys of (n, 3) cells of the Hilbert grid: the round above the Hilbert index."""
+    """Return the sort keys (n,) of (n, 3) cells of the Hilbert grid: the round above the Hilbert index."""
     n = len(cells)
     keys = np.empty(n, dtype=np.uint64)
     for i in range(n):

@@ -1,9 +1,9 @@
 """Alpha persistence of a point cloud in space: births and deaths as radii, with the simplices that set them.
 
-The alpha filtration gives a Delaunay simplex the squared radius of its smallest circumsphere when no other point lies inside that
-sphere (a Gabriel simplex), and otherwise the smallest value among its cofaces (Edelsbrunner & Mücke 1994; paper, Method). Two
-methods return the same diagrams: `fast` (our own Delaunay triangulation, filtration and reduction) and `gudhi` (the oracle:
-gudhi's AlphaComplex at precision `safe`).
+The alpha filtration gives a Delaunay simplex the squared radius of its smallest circumsphere when no other
+point lies inside that sphere (a Gabriel simplex), and otherwise the smallest value among its cofaces
+(Edelsbrunner & Mücke 1994; paper, Method). Two methods return the same diagrams: `fast` (our own Delaunay
+triangulation, filtration and reduction) and `gudhi` (the oracle: gudhi's AlphaComplex at precision `safe`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 
 from paper_artifact.errors import InputError
 
-# Two squared radii closer than this, relative to the larger, are one value: both methods carry rounding of about 1e-15.
+# Two squared radii closer than this, relative to the larger, are one value: both methods carry rounding of
+# about 1e-15.
 ROUNDING = 1e-12
 
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
@@ -23,35 +24,32 @@ STAGES = ("delaunay", "filtration", "reduction", "pairs")
 
 @dataclass(frozen=True)
 class Pairs:
-    """The k finite bars of one dimension d, in increasing order of birth, then of death.
+    """The k finite bars of one dimension d, in increasing order of birth, then of death."""
 
-    births, deaths: (k,) float64 RADII (square roots of alpha², in the unit of the points), births < deaths.
-    birth_simplices: (k, d+1) int64 and death_simplices: (k, d+2) int64, vertex indices into the points, each row increasing.
-    """
-
-    births: np.ndarray
-    deaths: np.ndarray
-    birth_simplices: np.ndarray
-    death_simplices: np.ndarray
+    births: np.ndarray  # (k,) float64 RADII: square roots of alpha², in the unit of the points
+    deaths: np.ndarray  # (k,) float64 RADII, above the births
+    birth_simplices: np.ndarray  # (k, d+1) int64 indices into the points, each row increasing
+    death_simplices: np.ndarray  # (k, d+2) int64 indices into the points, each row increasing
 
     def __len__(self) -> int:
         return len(self.births)
 
     @property
     def diagram(self) -> np.ndarray:
-        """(k, 2) float64: births and deaths, radii."""
+        """Return births and deaths side by side, (k, 2) float64 radii."""
         return np.column_stack([self.births, self.deaths])
 
 
 def alpha_persistence(points: np.ndarray, method: str = "fast") -> tuple[Pairs, Pairs, Pairs]:
-    """The finite bars of positive length of the alpha filtration of `points`, for dimensions 0, 1 and 2.
+    """Return the finite bars of positive length of the alpha filtration of `points`, dimensions 0, 1, 2.
 
-    points: (n, 3) array, n >= 0, converted to float64; any unit. Returned births and deaths are radii in the same unit.
-    A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected component
-    that never dies is left out as well; no other class is infinite. Exact duplicates of a point are one point of the filtration;
-    a simplex names one of them. Small and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars,
-    2 points or collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds that span no tetrahedron
-    to gudhi.)
+    points: (n, 3) array, n >= 0, converted to float64; any unit. Births and deaths are radii in the same
+    unit. method: "fast" or "gudhi". A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as
+    empty and is left out. The one connected component that never dies is left out as well; no other class is
+    infinite. Exact duplicates of a point are one point of the filtration; a simplex names one of them. Small
+    and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars, 2 points or
+    collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds that span no
+    tetrahedron to gudhi.)
 
     Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
     """
@@ -64,7 +62,10 @@ def alpha_persistence(points: np.ndarray, method: str = "fast") -> tuple[Pairs, 
 
 
 def check_points(points: np.ndarray) -> np.ndarray:
-    """`points` as a contiguous (n, 3) float64 array; raises InputError for another shape or coordinates that are not finite."""
+    """Return `points` as a contiguous (n, 3) float64 array.
+
+    Raises InputError for another shape or coordinates that are not finite.
+    """
     try:
         points = np.ascontiguousarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -75,17 +76,15 @@ def check_points(points: np.ndarray) -> np.ndarray:
         raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(
-            f"point {row} has a coordinate that is not finite; remove such points before computing persistence"
-        )
+        raise InputError(f"point {row} has a coordinate that is not finite; remove such points first")
     return points
 
 
 def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple[Pairs, Pairs, Pairs]:
-    """The fast path; a cloud that spans no tetrahedron goes to gudhi. Arguments and result as alpha_persistence, which checks
-    the points.
+    """Return what alpha_persistence does, by our kernels, for points that it has checked.
 
-    clock: when given, receives the CPU seconds of this process for each of STAGES.
+    A cloud that spans no tetrahedron goes to gudhi. clock: when given, receives the CPU seconds of this
+    process for each of STAGES.
     """
     from paper_artifact.alpha.fast import squared_pairs  # compiled code: loaded only where it is used
 
@@ -99,18 +98,18 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
 
 
 def gudhi_persistence(
-    points: np.ndarray, clock: dict[str, float] | None = None
+    points: np.ndarray, clock: dict[str, float] | None = None, precision: str = "safe"
 ) -> tuple[Pairs, Pairs, Pairs]:
-    """The oracle: gudhi's alpha complex (exact predicates, `safe` values) and its Z/2 pairs. Arguments and result as
-    fast_persistence.
+    """Return what fast_persistence does, by gudhi's alpha complex and its pairs over Z/2.
 
-    gudhi's `safe` radii are exact to 1e-5 relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of
-    1e-10, where we saw 4e-8); the fast path's agree with precision `exact` to 1e-9 there as well.
+    precision: gudhi's, "safe" or "exact"; predicates are exact in both. `safe` radii are exact to 1e-5
+    relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of 1e-10, where we saw
+    4e-8); the fast path's agree with `exact` to 1e-9 there as well.
     """
     import gudhi  # the oracle, and the path of degenerate clouds: only when needed
 
     marks = [time.process_time()]
-    complex_ = gudhi.AlphaComplex(points=points, precision="safe")
+    complex_ = gudhi.AlphaComplex(points=points, precision=precision)
     marks.append(time.process_time())
     tree = complex_.create_simplex_tree()
     marks.append(time.process_time())
@@ -129,7 +128,7 @@ def gudhi_persistence(
 def _read_clock(clock: dict[str, float] | None, marks: list[float]) -> None:
     """Fill `clock` with the times between the marks, the last stage up to now."""
     if clock is not None:
-        clock.update(zip(STAGES, np.diff([*marks, time.process_time()]).tolist()))
+        clock.update(zip(STAGES, np.diff([*marks, time.process_time()]).tolist(), strict=False))
 
 
 def _empty(dimension: int) -> Pairs:
@@ -144,7 +143,7 @@ def _empty(dimension: int) -> Pairs:
 def _from_rows(rows: list, dimension: int) -> Pairs:
     if not rows:
         return _empty(dimension)
-    births, deaths, birth_simplices, death_simplices = zip(*rows)
+    births, deaths, birth_simplices, death_simplices = zip(*rows, strict=True)
     return make_pairs(
         np.array(births), np.array(deaths), np.array(birth_simplices), np.array(death_simplices)
     )
@@ -153,7 +152,7 @@ def _from_rows(rows: list, dimension: int) -> Pairs:
 def make_pairs(
     births: np.ndarray, deaths: np.ndarray, birth_simplices: np.ndarray, death_simplices: np.ndarray
 ) -> Pairs:
-    """Pairs from SQUARED radii (k,) and simplices: empty bars dropped, rows sorted, squared radii turned into radii."""
+    """Return the Pairs of SQUARED radii (k,) and simplices: empty bars dropped, rows sorted."""
     keep = np.flatnonzero(deaths - births > ROUNDING * deaths)
     order = keep[np.lexsort((deaths[keep], births[keep]))]
     return Pairs(

@@ -1,9 +1,9 @@
 """Exact signs of the three geometric tests of the alpha complex: orientation, in-sphere, Gabriel.
 
-Each is evaluated in float64 first and accepted when it exceeds a proven error bound (Shewchuk 1997); the rest goes to
-double-doubles with a bound, and what is still open to exact expansions, so every sign is right for coplanar, cospherical and
-lattice-like input. `points` is (n, 3) float64, scaled as ordering.normalised does; a..e are row indices; `ws` is a workspace
-of expansions.WORKSPACE.
+Each is evaluated in float64 first and accepted when it exceeds a proven error bound (Shewchuk 1997); the rest
+goes to double-doubles with a bound, and what is still open to exact expansions, so every sign is right for
+coplanar, cospherical and lattice-like input. `points` is (n, 3) float64, scaled as ordering.normalised does;
+a..e are row indices; `ws` is a workspace of expansions.WORKSPACE.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from paper_artifact.alpha.expansions import ADD, MULTIPLY, Formula, evaluate, ex
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
 INSPHERE_BOUND = 1.7763568394002532e-15  # (16 + 224 u) u
-INSPHERE_STATIC = (
-    4.5e-14  # times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units
-)
+# Times max|dx| max|dy| max|dz| max|d|²: above the bound for the largest permanent, 24 such units.
+INSPHERE_STATIC = 4.5e-14
 DOT_BOUND = 1e-15  # above (5 + small) u for a sum of three products of rounded differences
-GABRIEL_BOUND = 1.3e-14  # times |u||v|²|w|² max(|u|, |v|, |w|): six terms of at most 1 in this unit, each with at most 18 u
+# Times |u||v|²|w|² max(|u|, |v|, |w|): six terms of at most 1 in this unit, each with at most 18 u.
+GABRIEL_BOUND = 1.3e-14
 DD_BOUND = 1e-29  # 800 times 2^-106: more than a thousand rounding errors of double-double operations
 
 
@@ -65,7 +65,10 @@ ORIENT, INSPHERE, EDGE, TRIANGLE = _orient(), _insphere(), _edge(), _triangle()
 
 @njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
-    """A number with the sign of det[a-d, b-d, c-d]: positive when a, b, c turn clockwise seen from d; 0 exactly when coplanar."""
+    """Return a number with the sign of det[a-d, b-d, c-d], 0 exactly when coplanar.
+
+    Positive when a, b, c turn clockwise seen from d.
+    """
     dx, dy, dz = points[d, 0], points[d, 1], points[d, 2]
     adx, ady, adz = points[a, 0] - dx, points[a, 1] - dy, points[a, 2] - dz
     bdx, bdy, bdz = points[b, 0] - dx, points[b, 1] - dy, points[b, 2] - dz
@@ -87,8 +90,11 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
 
 @njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
-    """A number with the sign of the in-sphere determinant: positive when e lies inside the sphere through a, b, c, d, which
-    must be positively oriented (orient3d > 0); 0 exactly when cospherical."""
+    """Return a number with the sign of the in-sphere determinant, 0 exactly when cospherical.
+
+    Positive when e lies inside the sphere through a, b, c, d, which must be positively oriented (orient3d >
+    0).
+    """
     ex, ey, ez = points[e, 0], points[e, 1], points[e, 2]
     aex, aey, aez = points[a, 0] - ex, points[a, 1] - ey, points[a, 2] - ez
     bex, bey, bez = points[b, 0] - ex, points[b, 1] - ey, points[b, 2] - ez
@@ -139,7 +145,7 @@ def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.
 
 @njit("boolean(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> bool:
-    """True unless c lies strictly inside the smallest sphere of the edge (a, b)."""
+    """Return True unless c lies strictly inside the smallest sphere of the edge (a, b)."""
     x = (points[a, 0] - points[c, 0]) * (points[b, 0] - points[c, 0])
     y = (points[a, 1] - points[c, 1]) * (points[b, 1] - points[c, 1])
     z = (points[a, 2] - points[c, 2]) * (points[b, 2] - points[c, 2])
@@ -154,11 +160,11 @@ def edge_excludes(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) ->
 
 @njit("boolean(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
 def triangle_excludes(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> bool:
-    """True unless a lies strictly inside the smallest circumsphere of the triangle (b, c, d).
+    """Return True unless a lies strictly inside the smallest circumsphere of the triangle (b, c, d).
 
-    With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the circumcentre of
-    the tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the circumcentre lies on the far side of the
-    triangle.
+    With u, v, w = a-b, c-b, d-b and N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), which points from b to the
+    circumcentre of the tetrahedron (up to twice its determinant), a is inside when N·(v x w) < 0: the
+    circumcentre lies on the far side of the triangle.
     """
     ux, uy, uz = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
     vx, vy, vz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]

@@ -1,10 +1,11 @@
 """Persistence pairs of a filtered Delaunay triangulation over Z/2.
 
-The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars. First the apparent pairs are
-taken out: a simplex and its earliest coface of which it is the latest face (Bauer 2021); they are most of the complex, and
-empty when the values are equal. Of what is left: H0 by union-find over the edges in increasing value; H2 by duality,
-union-find over the tetrahedra and the outside with the triangles in decreasing value; H1 by column reduction of the triangles
-that kill loops (clearing: Chen & Kerber 2011; paper, Method).
+The filtration's order is (value, dimension, index), so ties give a valid pairing and empty bars. First the
+apparent pairs are taken out: a simplex and its earliest coface of which it is the latest face (Bauer 2021);
+they are most of the complex, and empty when the values are equal. Of what is left: H0 by union-find over the
+edges in increasing value; H2 by duality, union-find over the tetrahedra and the outside with the triangles in
+decreasing value; H1 by column reduction of the triangles that kill loops (clearing: Chen & Kerber 2011;
+paper, Method).
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from numba import njit
 
 from paper_artifact.alpha.ordering import sort_keys
 
-# a triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an edge
+# A triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an
+# edge.
 OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3
 
 
 def increasing(values: np.ndarray) -> np.ndarray:
-    """The order of (n,) non-negative float64 values, equal ones by index: (n,) int32. (Their bits sort as integers.)"""
+    """Return the order (n,) int32 of (n,) non-negative float64 values, equal ones by index."""
+    # The bits of non-negative doubles sort as integers.
     return sort_keys(values.view(np.uint64))
 
 
@@ -35,8 +38,11 @@ def _root(parents: np.ndarray, i: int) -> int:
 def apparent_voids(
     cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray
 ) -> tuple:
-    """Empty pairs of a triangle and a cell: (state (k,) int8 of each triangle, parents (m+1,) int32: the cell, or m for the
-    outside, that a cell so filled belongs to from then on)."""
+    """Take out the empty pairs of a triangle and a cell; return (state, parents).
+
+    state (k,) int8 of each triangle; parents (m+1,) int32: the cell, or m for the outside, that a cell so
+    filled belongs to from then on.
+    """
     m = len(cell_values)
     state = np.zeros(len(sides), dtype=np.int8)
     parents = np.arange(m + 1).astype(np.int32)
@@ -64,7 +70,10 @@ def apparent_voids(
 def apparent_loops(
     triangle_values: np.ndarray, edge_values: np.ndarray, of_triangle: np.ndarray, state: np.ndarray
 ) -> np.ndarray:
-    """Empty pairs of an edge and a triangle: (e,) int32, the triangle or -1; those triangles' state becomes KILLS."""
+    """Return the empty pairs of an edge and a triangle: (e,) int32, the triangle or -1.
+
+    The state of those triangles becomes KILLS, IN PLACE.
+    """
     first = np.full(len(edge_values), np.int32(-1))
     for f in range(len(of_triangle)):
         for i in range(3):
@@ -90,8 +99,10 @@ def apparent_loops(
 def components(
     edges: np.ndarray, order: np.ndarray, vertex_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool for each edge); of two components the
-    one whose first vertex has the larger index ends. `order`: the edges in increasing value."""
+    """Return H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool of each edge).
+
+    Of two components the one whose first vertex has the larger index ends. order: the edges by value.
+    """
     parents = np.arange(vertex_count).astype(np.int32)
     merges = np.zeros(len(edges), dtype=np.bool_)
     births, deaths = np.empty(vertex_count, dtype=np.int32), np.empty(vertex_count, dtype=np.int32)
@@ -113,16 +124,16 @@ def components(
 def voids(
     sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray
 ) -> tuple:
-    """H2: (triangle (r,) that closes a void, cell (r,) that fills it), without the apparent pairs; those triangles become CLOSES.
+    """Return H2: (triangle (r,) that closes a void, cell (r,) that fills it), without the apparent pairs.
 
-    sides: (k, 2) cells of each triangle, -1 outside; `order`: the open triangles in increasing value; parents: of apparent_voids.
-    Backwards in the filtration the triangles join the cells, and the void whose last cell comes earlier ends.
+    The state of those triangles becomes CLOSES, IN PLACE. sides: (k, 2) cells of each triangle, -1 outside;
+    `order`: the open triangles in increasing value; parents: of apparent_voids. Backwards in the filtration
+    the triangles join the cells, and the void whose last cell comes earlier ends.
     """
     outside = len(cell_values)
     sizes = np.ones(outside + 1, dtype=np.int32)
-    tops = np.arange(outside + 1).astype(
-        np.int32
-    )  # of each component's root: its last cell in the filtration
+    # Of each component's root: its last cell in the filtration.
+    tops = np.arange(outside + 1).astype(np.int32)
     births, deaths = np.empty(len(order), dtype=np.int32), np.empty(len(order), dtype=np.int32)
     count = 0
     for place in range(len(order) - 1, -1, -1):
@@ -176,11 +187,12 @@ def loops(
     merges: np.ndarray,
     apparent: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """H1: (edge (r,) that closes a loop, triangle (r,) that fills it), without the apparent pairs.
+    """Return H1: (edge (r,) that closes a loop, triangle (r,) that fills it), without the apparent pairs.
 
-    order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a void are left out.
-    Rows are the edges that merge no components (the others never become a pivot). A column is reduced in a bit field over the
-    rows; a reduced column is kept as a list of rows, except for the triangles of `apparent`, which are reduced as they are.
+    order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a
+    void are left out. Rows are the edges that merge no components (the others never become a pivot). A column
+    is reduced in a bit field over the rows; a reduced column is kept as a list of rows, except for the
+    triangles of `apparent`, which are reduced as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
     edge_at = np.empty(len(edge_order), dtype=np.int32)

@@ -1,1 +1,1 @@
-"""Audit of one's own mesh: certificate → density staircase → observable class and density → bundle → report (paper §4, §6)."""
+"""Audit of one's own mesh: certificate → staircase → observable, density → bundle → page (paper §4, §6)."""

@@ -1,17 +1,18 @@
-"""The pre-registered rule: which observable, at which density, before any training (paper §4, §6, suppl. B and G).
+"""The pre-registered rule: which observable, at which density (paper §4, §6, suppl. B and G).
 
-1. The expected bars are the certified ones, (b0 - 1, b1, b2). Where no certificate of a closed surface exists, or none of its
-   classes is measurable, they are those that the clean surface itself shows at the largest working density (the bowls: an open
-   mouth caps).
-2. The class is the first dimension of H0, H1, H2 that is expected and has a significant bar at some working density.
-3. The density is the first working density at which all expected bars of the class are significant ("complete"); if there is
-   none, the first at which any is, and the loss is restricted to what is measurable ("partial": the torus and rocker-arm
-   precedent).
+1. The expected bars are the certified ones, (b0 - 1, b1, b2). Where no certificate of a closed surface
+   exists, or none of its classes is measurable, they are those that the clean surface itself shows at the
+   largest working density (the bowls: an open mouth caps).
+2. The class is the first dimension of H0, H1, H2 that is expected and has a significant bar at some working
+   density.
+3. The density is the first working density at which all expected bars of the class are significant
+   ("complete"); if there is none, the first at which any is, and the loss is restricted to what is measurable
+   ("partial": the torus and rocker-arm precedent).
 4. The loss also acts on every other expected dimension that is complete at this density, and on nothing else.
 
-The working densities are the study's two, M = 2048 and, where that is too coarse, M = 8192. The other rungs of the staircase
-are diagnostics: eight is complete at 4096 already, and the paper bundles it at 8192. A bar is significant iff its lifetime
-exceeds 6·r_med(M).
+The working densities are the study's two, M = 2048 and, where that is too coarse, M = 8192. The other rungs
+of the staircase are diagnostics: eight is complete at 4096 already, and the paper bundles it at 8192. A bar
+is significant iff its lifetime exceeds 6·r_med(M).
 """
 
 from __future__ import annotations
@@ -30,18 +31,16 @@ NAMES = ("components (H0)", "loops (H1)", "voids (H2)")
 
 @dataclass(frozen=True)
 class Rung:
-    """One density of the staircase: M, seed, floor (radius / diagonal), and per dimension the lifetimes over the floor, longest
-    first.
-    """
+    """One density of the staircase."""
 
-    samples: int
-    seed: int
-    floor: float
-    margins: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+    samples: int  # M
+    seed: int  # of the samples
+    floor: float  # 6·r_med(M), radius / diagonal
+    margins: tuple[tuple[float, ...], ...]  # per dimension the bars' lifetimes over the floor, longest first
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Significant finite bars per dimension; the one infinite bar of H0 is not among them."""
+        """The numbers of significant finite bars per dimension, without the one infinite bar of H0."""
         return tuple(sum(margin > 1 for margin in each) for each in self.margins)
 
     @property
@@ -53,24 +52,21 @@ class Rung:
 
 @dataclass(frozen=True)
 class Decision:
-    """dimension: the class (0, 1, 2), None when nothing is measurable, and then samples is None and dimensions empty.
+    """What the rule says of a mesh."""
 
-    dimensions: where the loss acts; expected: bars per dimension, "certificate" or "observation" being their basis; reasons:
-    the rule's steps as sentences; warnings: what an evaluation at a denser sample would stumble over.
-    """
-
-    dimension: int | None
-    samples: int | None
-    dimensions: tuple[int, ...]
-    complete: bool
-    expected: tuple[int, int, int]
-    basis: str
-    reasons: tuple[str, ...]
-    warnings: tuple[str, ...]
+    dimension: int | None  # the observable class: 0, 1 or 2; None when nothing is measurable
+    samples: int | None  # M, the working density; None when nothing is measurable
+    dimensions: tuple[int, ...]  # where the loss acts
+    complete: bool  # whether all expected bars of the class are significant
+    expected: tuple[int, int, int]  # finite bars per dimension
+    basis: str  # of the expectation: "certificate" or "observation"
+    reasons: tuple[str, ...]  # the rule's steps as sentences
+    warnings: tuple[str, ...]  # what an evaluation at a denser sample would stumble over
 
 
 def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[int] = WORKING) -> Decision:
-    """Apply the rule to the staircase `rungs` (one per density, any order) of a surface with that certificate.
+    """Return the Decision for the staircase `rungs` (one per density, any order) and the certificate of a
+    mesh.
 
     Raises InputError when a working density has no rung.
     """
@@ -92,7 +88,8 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
     else:
         why = "is that of a surface with boundary" if certificate.passed else "fails"
         reasons.append(
-            f"The certificate {why}, so the expected bars are those observed at M = {ladder[-1].samples}: {observed}."
+            f"The certificate {why}, so the expected bars are those observed at "
+            f"M = {ladder[-1].samples}: {observed}."
         )
         choices = [("observation", observed)]
     for basis, expected in choices:
@@ -102,9 +99,12 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
             found = _density(ladder, dimension, expected[dimension])
             if found is None:
                 if expected[dimension]:
+                    tops = (
+                        f"M = {rung.samples}: {_top(rung, dimension):.2f} of the floor" for rung in ladder
+                    )
                     reasons.append(
-                        f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a working density "
-                        f"({', '.join(f'M = {rung.samples}: {_top(rung, dimension):.2f} of the floor' for rung in ladder)})."
+                        f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a "
+                        f"working density ({', '.join(tops)})."
                     )
                 continue
             rung, complete = found
@@ -112,9 +112,20 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
     denser = [rung for rung in by_samples.values() if sum(rung.counts) and rung.samples not in working]
     if denser:
         reasons.append(
-            f"Bars appear at M = {', '.join(str(rung.samples) for rung in denser)} only, which is no working density."
+            f"Bars appear at M = {', '.join(str(rung.samples) for rung in denser)} only, "
+            "which is no working density."
         )
-    return Decision(None, None, (), False, choices[0][1], choices[0][0], tuple(reasons), ())
+    basis, expected = choices[0]
+    return Decision(
+        dimension=None,
+        samples=None,
+        dimensions=(),
+        complete=False,
+        expected=expected,
+        basis=basis,
+        reasons=tuple(reasons),
+        warnings=(),
+    )
 
 
 def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Rung, bool] | None:
@@ -128,16 +139,17 @@ def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Run
 
 def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -> Decision:
     others = tuple(d for d in range(3) if d != dimension and expected[d] and rung.counts[d] == expected[d])
-    count = rung.counts[dimension]
+    count, wanted, name = rung.counts[dimension], expected[dimension], NAMES[dimension]
+    tightest = f"tightest {min(margin for margin in rung.margins[dimension] if margin > 1):.2f} of the floor"
     if complete:
         reasons.append(
-            f"M = {rung.samples} is the first working density at which {expected[dimension]} of {expected[dimension]} expected "
-            f"{NAMES[dimension]} clear the floor (tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor)."
+            f"M = {rung.samples} is the first working density at which {wanted} of {wanted} expected {name} "
+            f"clear the floor ({tightest})."
         )
     else:
         reasons.append(
-            f"No working density shows all {expected[dimension]} {NAMES[dimension]}; M = {rung.samples} is the first that shows any "
-            f"({count}, tightest {min(m for m in rung.margins[dimension] if m > 1):.2f} of the floor), and the loss is restricted to it."
+            f"No working density shows all {wanted} {name}; M = {rung.samples} is the first that shows any "
+            f"({count}, {tightest}), and the loss is restricted to it."
         )
     left = [d for d in range(3) if d != dimension and d not in others and (expected[d] or rung.counts[d])]
     reasons += [
@@ -145,27 +157,29 @@ def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -
         for d in left
     ]
     warnings = [
-        f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are expected: a concavity that caps, "
-        "or a real feature of the clean surface; a count there is no phantom of a reconstruction."
+        f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are "
+        "expected: a concavity that caps, or a real feature of the clean surface; a count there is no "
+        "phantom of a reconstruction."
         for denser in by_samples.values()
         if denser.samples >= rung.samples
         for d in range(3)
         if denser.counts[d] > expected[d]
     ]
     warnings += [
-        f"The {NAMES[d]} lie within {100 * NEAR:.0f} % of the floor at M = {rung.samples}: another sampling seed may decide otherwise."
+        f"The {NAMES[d]} lie within {100 * NEAR:.0f} % of the floor at M = {rung.samples}: "
+        "another sampling seed may decide otherwise."
         for d in range(3)
         if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])
     ]
     return Decision(
-        dimension,
-        rung.samples,
-        tuple(sorted((dimension, *others))),
-        complete,
-        expected,
-        basis,
-        tuple(reasons),
-        tuple(warnings),
+        dimension=dimension,
+        samples=rung.samples,
+        dimensions=tuple(sorted((dimension, *others))),
+        complete=complete,
+        expected=expected,
+        basis=basis,
+        reasons=tuple(reasons),
+        warnings=tuple(warnings),
     )
 
 

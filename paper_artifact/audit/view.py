@@ -8,10 +8,10 @@ from paper_artifact.mesh import Mesh, weld
 
 
 def light_mesh(mesh: Mesh, most: int = 60_000) -> Mesh:
-    """Return the mesh itself, or, above `most` triangles, one whose vertices are merged per grid cell to their mean, for a
-    picture only.
+    """Return the mesh itself or, above `most` triangles, a coarser one for a picture only.
 
-    The grid is coarsened until at most `most` triangles are left; the topology may change.
+    Its vertices are those of each cell of a grid merged to their mean. The grid is coarsened until at most
+    `most` triangles are left; the topology may change.
     """
     cells = 256
     vertices, faces = mesh.vertices, mesh.faces

@@ -1,11 +1,12 @@
-"""Differentiable alpha diagrams beside the libraries that offer them: forward and backward, in turns in one process.
+"""Differentiable alpha diagrams beside the libraries that offer them: forward and backward, in one process.
 
-Everyone gets the same float64 points (M,3), makes the diagrams of dimensions 0 to 2 as torch tensors that know the points, and
-the same loss: the sum of squared lifetimes (death - birth)² in dimension 1, in RADII, in the unit of the points. A peer's diagram
-is brought to radii: oineus.diff gives squared radii; torch-topological gives pairwise distances (see its note), which are halved.
+Everyone gets the same float64 points (M,3), makes the diagrams of dimensions 0 to 2 as torch tensors that
+know the points, and the same loss: the sum of squared lifetimes (death - birth)² in dimension 1, in RADII, in
+the unit of the points. A peer's diagram is brought to radii: oineus.diff gives squared radii;
+torch-topological gives pairwise distances (see its note), which are halved.
 
-The peers are no dependency. They live in a side environment that borrows this one's packages (README, "Beside other libraries"):
-`Peer.install` is the line that a missing one gets.
+The peers are no dependency. They live in a side environment that borrows this one's packages (README, "Beside
+other libraries"): `Peer.install` is the line that a missing one gets.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 
 OURS = "paper_artifact"
-LONGEST = 10
-SIZES = (2048, 8192)
+LONGEST = 10  # bars that are compared
+SIZES = (2048, 8192)  # points M of a cloud
 SLOW = 30.0  # CPU seconds: a peer that takes longer is timed once, and not at all at a larger size
 
 Diagrams = Callable[[Tensor], Sequence[Tensor]]
@@ -38,19 +39,18 @@ Diagrams = Callable[[Tensor], Sequence[Tensor]]
 
 @dataclass(frozen=True)
 class Peer:
-    """A library. modules: what must import; distributions: whose versions are reported; diagrams: points (M,3) -> diagrams (k,2)
-    of dimensions 0, 1, 2 as RADII that know the points; install: how to get it; note: what it measures."""
+    """A library and how it is called."""
 
     name: str
-    modules: tuple[str, ...]
-    distributions: tuple[str, ...]
-    diagrams: Diagrams
-    install: str
-    note: str
+    modules: tuple[str, ...]  # what must import
+    distributions: tuple[str, ...]  # whose versions are reported
+    diagrams: Diagrams  # points (M,3) -> diagrams (k,2) of dimensions 0, 1, 2: RADII that know the points
+    install: str  # how to get it
+    note: str  # what it measures
 
 
 def our_diagrams(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the bars (k,2) of `topology.diagrams.alpha_diagrams`, dimensions 0, 1, 2."""
+    """Return the bars (k,2) of `alpha.diagrams.alpha_diagrams`, dimensions 0, 1, 2."""
     return tuple(diagram.bars for diagram in alpha_diagrams(points))
 
 
@@ -72,26 +72,29 @@ def _torch_topological_diagrams(points: Tensor) -> list[Tensor]:
 
 PEERS = (
     Peer(
-        "oineus.diff",
-        ("oineus.diff", "diode"),
-        ("oineus", "diode"),
-        _oineus_diagrams,
-        "pip install oineus eagerpy diode (diode is compiled: g++, cmake, libcgal-dev)",
-        "alpha filtration, squared radii",
+        name="oineus.diff",
+        modules=("oineus.diff", "diode"),
+        distributions=("oineus", "diode"),
+        diagrams=_oineus_diagrams,
+        install="pip install oineus eagerpy diode (diode is compiled: g++, cmake, libcgal-dev)",
+        note="alpha filtration, squared radii",
     ),
     Peer(
-        "torch-topological",
-        ("torch_topological.nn",),
-        ("torch-topological",),
-        _torch_topological_diagrams,
-        "pip install torch-topological",
-        "pairs of gudhi's alpha filtration (precision `fast`); values are half the longest edge, not circumradii",
+        name="torch-topological",
+        modules=("torch_topological.nn",),
+        distributions=("torch-topological",),
+        diagrams=_torch_topological_diagrams,
+        install="pip install torch-topological",
+        note=(
+            "pairs of gudhi's alpha filtration (precision `fast`); "
+            "values are half the longest edge, not circumradii"
+        ),
     ),
 )
 
 
 def installed(peer: Peer) -> bool:
-    """Whether the peer's packages can be found; imports nothing."""
+    """Return whether the peer's packages can be found; import nothing."""
     return all(importlib.util.find_spec(module.split(".")[0]) is not None for module in peer.modules)
 
 
@@ -102,13 +105,16 @@ def why_missing(peer: Peer) -> str | None:
             importlib.import_module(module)
     except Exception as error:  # a broken build of another's extension may raise anything
         reason = " ".join(str(error).split())
-        return f"{peer.name}: does not import ({type(error).__name__}: {reason}); install it with: {peer.install}"
+        what = f"{type(error).__name__}: {reason}"
+        return f"{peer.name}: does not import ({what}); install it with: {peer.install}"
     return None
 
 
 def loss_and_gradient(diagrams: Diagrams, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Return the diagram (k,2) of dimension 1, the loss's gradient (M,3) at `points` (M,3), and the CPU seconds of forward
-    (points, diagrams, loss) and backward."""
+    """Return (diagram of dimension 1 (k,2), gradient (M,3), forward, backward) at `points` (M,3).
+
+    forward, backward: CPU seconds; forward makes the points' tensor, the diagrams and the loss.
+    """
     cloud = torch.tensor(points, dtype=torch.float64, requires_grad=True)
     gc.collect()  # nobody pays for another's garbage
     begin = time.process_time()
@@ -127,13 +133,14 @@ def peer_rows(
     peers: Sequence[Peer] = PEERS,
     missing: list[str] | None = None,
 ) -> Iterator[dict]:
-    """Yield, for each cloud and size M, one row for us and one for each peer that runs; a line for each that does not is appended
-    to `missing`.
+    """Yield, for each cloud and size M, one row for us and one for each peer that runs.
 
-    Keys: cloud, M, library, version; forward_ms, backward_ms, ms (both together): CPU milliseconds of the process, medians of
-    `turns` turns (`repetitions`, at most 3 beyond 4096 points) after one uncounted pass, which is the only one of a peer beyond
-    SLOW (turns 1); forward_ratio and ratio (forward_ms and ms over ours); bars (of dimension 1); bar_difference
-    (`bar_difference`, radii in the unit of the points); gradient_difference (`gradient_difference`); note.
+    A line for each peer that does not run is appended to `missing`. Keys: cloud, M, library, version;
+    forward_ms, backward_ms, ms (both together): CPU milliseconds of the process, medians of `turns` turns
+    (`repetitions`, at most 3 beyond 4096 points) after one uncounted pass, which is the only one of a peer
+    beyond SLOW (turns 1); forward_ratio and ratio (forward_ms and ms over ours); bars (of dimension 1);
+    bar_difference (`bar_difference`, radii in the unit of the points); gradient_difference
+    (`gradient_difference`); note.
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
@@ -212,8 +219,10 @@ def _measure(
 
 
 def bar_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Return the largest |difference| of births and deaths of the ten longest bars of two diagrams (k,2); inf if their numbers
-    differ, 0 if both are empty."""
+    """Return the largest |difference| of births and deaths of the LONGEST bars of two diagrams (k,2).
+
+    inf if their numbers differ, 0 if both are empty.
+    """
     longest = [_longest(diagram) for diagram in (ours, theirs)]
     if len(longest[0]) != len(longest[1]):
         return float("inf")
@@ -222,20 +231,19 @@ def bar_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def _longest(diagram: np.ndarray) -> np.ndarray:
     chosen = diagram[np.argsort(diagram[:, 0] - diagram[:, 1], kind="stable")[:LONGEST]]
-    return chosen[
-        np.lexsort((chosen[:, 1], chosen[:, 0]))
-    ]  # by birth: rounding must not swap bars of nearly one length
+    # By birth: rounding must not swap bars of nearly one length.
+    return chosen[np.lexsort((chosen[:, 1], chosen[:, 0]))]
 
 
 def gradient_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Return max |theirs - ours| / max |ours| of two gradients (M,3); nan where a component of theirs is not finite."""
+    """Return max |theirs - ours| / max |ours| of two gradients (M,3); nan where theirs is not finite."""
     return (
         float(np.abs(theirs - ours).max() / np.abs(ours).max()) if np.isfinite(theirs).all() else float("nan")
     )
 
 
 def _versions(distributions: Sequence[str]) -> str:
-    """ "0.9.39", or "0.9.39, diode 1.2.2" where more than one matters."""
+    """Return "0.9.39", or "0.9.39, diode 1.2.2" where more than one matters."""
     found = []
     for name in distributions:
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -14,7 +14,7 @@ from paper_artifact.randomness import stream
 
 
 def _torus(n: int, rng: np.random.Generator) -> np.ndarray:
-    """n points on the torus of radii 1 and 0.4."""
+    """Return n points on the torus of radii 1 and 0.4."""
     u, v = rng.random((2, n)) * 2 * np.pi
     return np.column_stack(
         [(1 + 0.4 * np.cos(v)) * np.cos(u), (1 + 0.4 * np.cos(v)) * np.sin(u), 0.4 * np.sin(v)]
@@ -22,13 +22,13 @@ def _torus(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _soup(n: int, rng: np.random.Generator) -> np.ndarray:
-    """n uniform samples on 300 random triangles of edge about 0.2 whose centres lie on the torus: many coplanar samples."""
+    """Return n uniform samples on 300 random triangles around the torus, of edge about 0.2: many coplanar."""
     corners = _torus(300, rng)[:, None] + 0.1 * rng.normal(size=(300, 3, 3))
     return np.einsum("nk,nkd->nd", rng.dirichlet([1, 1, 1], n), corners[rng.integers(0, 300, n)])
 
 
 def _uniform(n: int, rng: np.random.Generator) -> np.ndarray:
-    """n points in the unit cube."""
+    """Return n points in the unit cube."""
     return rng.random((n, 3))
 
 
@@ -42,14 +42,15 @@ def persistence_rows(
     cloud: str = "torus",
     draw: Draw | None = None,
 ) -> list[dict]:
-    """One row per cloud size M: CPU milliseconds of one process (medians over repetitions in which the two take turns) and
-    ratios.
+    """Return one row per cloud size M: CPU milliseconds of one process, and ratios.
 
+    Times are medians over `repetitions` in which the two methods take turns.
     cloud: one of CLOUDS, or any name if `draw` is given: draw(M, generator) returns points (M,3) float64.
-    Keys: cloud, M, tetrahedra (of the Delaunay triangulation: the size of what is computed; by scipy), gudhi_ms, fast_ms, ratio
-    (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage, which costs gudhi a Python loop over the
-    pairs), and for each stage of delaunay, filtration, reduction, pairs: gudhi_STAGE_ms, fast_STAGE_ms, ratio_STAGE. gudhi's
-    simplex tree is built within its filtration stage. Compilation is done before the clock starts.
+    Keys: cloud, M, tetrahedra (of the Delaunay triangulation: the size of what is computed; by scipy),
+    gudhi_ms, fast_ms, ratio (gudhi / fast) for all of it, ratio_without_pairs (leaving out the last stage,
+    which costs gudhi a Python loop over the pairs), and for each stage of delaunay, filtration, reduction,
+    pairs: gudhi_STAGE_ms, fast_STAGE_ms, ratio_STAGE. gudhi's simplex tree is built within its filtration
+    stage. Compilation is done before the clock starts.
 
     Raises InputError for an unknown cloud, a size below 100, or fewer than one repetition.
     """
@@ -95,7 +96,9 @@ def persistence_rows(
 
 
 def growth_exponent(rows: list[dict], key: str = "fast_ms") -> float:
-    """The exponent p of time ~ M^p between the first and the last row. Raises InputError for fewer than two sizes."""
+    """The exponent p of time ~ M^p between the first and the last row. Raises InputError for fewer than two
+    sizes.
+    """
     if len({row["M"] for row in rows}) < 2:
         raise InputError("a growth exponent needs rows of at least two sizes")
     first, last = min(rows, key=lambda row: row["M"]), max(rows, key=lambda row: row["M"])

@@ -1,4 +1,4 @@
-"""Photometric step: the numba kernels beside the plain-torch twin, on the C0 sphere (N = 1200, 200 px, batch 4)."""
+"""Photometric step: the kernels beside the plain-torch twin, C0 sphere (N = 1200, 200 px, batch 4)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BATCH = 4
 
 
 def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
-    """Return the sphere's scene and a soup trained for `steps` steps (pruned to N = 1200), built under `results`."""
+    """Return the sphere's scene and a soup of `steps` steps (pruned to N = 1200), built under `results`."""
     config = study_config("sphere", steps=steps)
     scene = prepare_scene(config, find_mesh("sphere"), results / "scenes")
     return scene, train(scene, config, device="cpu").soup

@@ -1,5 +1,4 @@
-"""The loss on a trained soup: refresh (samples, persistence, plan) beside gudhi's persistence alone, and one step under a frozen
-plan."""
+"""The loss on a trained soup: a refresh beside gudhi's persistence alone, and a step under a frozen plan."""
 
 from __future__ import annotations
 
@@ -19,8 +18,11 @@ from paper_artifact.topology.term import TopologyTerm
 
 
 def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[dict]:
-    """Return rows {what, ms, ratio}: CPU ms of one thread at M = 2048, medians of interleaved repetitions; ratio is to the
-    refresh."""
+    """Return rows {what, ms, ratio to the refresh}: CPU ms of one thread at M = 2048.
+
+    Medians of interleaved repetitions. A refresh is samples, persistence and plan. results: where the soup,
+    trained for `steps` steps, is built.
+    """
     _, soup = sphere_case(results, steps)
     mesh = find_mesh("sphere")
     config = study_config("sphere", "C3")  # no ramp: active from the first step

@@ -1,1 +1,1 @@
-"""Certificates: exact simplicial homology of a mesh's own triangles, with the manifold checks beside it (paper §4, suppl. G)."""
+"""Certificates: exact homology of a mesh's own triangles, and manifold checks (paper §4, suppl. G)."""

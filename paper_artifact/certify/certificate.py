@@ -1,7 +1,7 @@
-"""The certificate of a mesh: exact weld, surface checks, exact homology, its agreement with the Euler characteristic, a verdict.
+"""The certificate of a mesh: exact weld, surface checks, exact homology, Euler characteristic, a verdict.
 
-Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own triangles:
-self-intersections do not change it, and are not looked for.
+Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own
+triangles: self-intersections do not change it, and are not looked for.
 """
 
 from __future__ import annotations
@@ -16,45 +16,40 @@ from paper_artifact.certify.surface import check_surface, open_edge_count
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, weld
 
+# What is counted per component and in all: fields of SurfaceChecks, Component and Certificate.
+FAULTS = ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
+
 
 @dataclass(frozen=True)
 class Component:
-    """One connected component. euler = vertices - edges + faces of its distinct simplices; betti over Z/2.
-
-    genus: of a closed orientable component or of one with boundary loops filled; for a non-orientable one the number of
-    crosscaps; None where the component is no manifold. volume: signed, cubic world units, None unless closed and consistently
-    wound. expected: the Betti numbers that the classification of surfaces gives from euler and the boundary; None for no
-    manifold.
-    """
+    """One connected component of the welded mesh."""
 
     vertices: int
-    edges: int
-    faces: int
-    euler: int
-    betti: tuple[int, int, int]
-    expected: tuple[int, int, int] | None
-    open_edges: int
-    boundary_loops: int
-    nonmanifold_edges: int
-    pinched_vertices: int
-    reversed_edges: int
-    orientable: bool
-    genus: int | None
-    volume: float | None
+    edges: int  # distinct
+    faces: int  # distinct
+    euler: int  # vertices - edges + faces
+    betti: tuple[int, int, int]  # over Z/2
+    expected: tuple[int, int, int] | None  # what the classification of surfaces gives; None for no manifold
+    open_edges: int  # with one face
+    boundary_loops: int  # closed chains of open edges
+    nonmanifold_edges: int  # with more than two faces
+    pinched_vertices: int  # whose faces form more than one fan
+    reversed_edges: int  # whose two faces wind alike (wrongly)
+    orientable: bool  # a consistent winding exists
+    genus: int | None  # with boundary loops filled; crosscaps if not orientable; None for no manifold
+    volume: float | None  # signed, cubic world units; None unless closed and consistently wound
 
     @property
     def manifold(self) -> bool:
-        """Every edge has at most two faces and the faces at every vertex form one fan."""
+        """Whether every edge has at most two faces and the faces at every vertex form one fan."""
         return self.nonmanifold_edges == 0 and self.pinched_vertices == 0
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Counts after the exact weld, unless they are called as_indexed.
+    """What was measured of a mesh, and the verdict.
 
-    betti: of the whole complex over Z/2; betti2_dual: b2 counted once more by duality, None where that would be too large;
-    euler: of the distinct simplices; euler_as_given counts repeated faces each time. components: largest first. verdict: "pass"
-    or "fail" with reasons; with_boundary: open edges were allowed. notes: what is odd and changes no verdict. kind: in words.
+    Counts are those after the exact weld, unless "as indexed".
     """
 
     name: str
@@ -62,27 +57,27 @@ class Certificate:
     faces_as_indexed: int
     open_edges_as_indexed: int
     vertices: int
-    edges: int
-    faces: int
-    collapsed_faces: int
-    duplicate_faces: int
-    flat_faces: int
-    open_edges: int
+    edges: int  # distinct
+    faces: int  # repeated ones each time
+    collapsed_faces: int  # dropped by the weld: two corners became one point
+    duplicate_faces: int  # repeats of another face
+    flat_faces: int  # of zero area
+    open_edges: int  # this and the next five: see Component, over all components
     boundary_loops: int
     nonmanifold_edges: int
     pinched_vertices: int
     reversed_edges: int
     orientable: bool
-    euler: int
-    euler_as_given: int
-    betti: tuple[int, int, int]
-    betti2_dual: int | None
-    components: tuple[Component, ...]
-    kind: str
-    with_boundary: bool
-    verdict: str
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
+    euler: int  # of the distinct simplices
+    euler_as_given: int  # with repeated faces each time
+    betti: tuple[int, int, int]  # of the whole complex, over Z/2
+    betti2_dual: int | None  # b2 once more, by duality; None where that would be too large
+    components: tuple[Component, ...]  # largest first
+    kind: str  # in words
+    with_boundary: bool  # whether open edges were allowed
+    verdict: str  # "pass" or "fail"
+    reasons: tuple[str, ...]  # of a failure
+    notes: tuple[str, ...]  # what is odd and changes no verdict
 
     @property
     def passed(self) -> bool:
@@ -91,12 +86,12 @@ class Certificate:
 
     @property
     def closed(self) -> bool:
-        """No open edges."""
+        """Whether there are no open edges."""
         return self.open_edges == 0
 
     @property
     def genus(self) -> int | None:
-        """Sum of the components' genera; None unless all are orientable manifolds."""
+        """The sum of the components' genera; None unless all are orientable manifolds."""
         genera = [each.genus if each.orientable else None for each in self.components]
         return None if None in genera else sum(genera)
 
@@ -108,8 +103,8 @@ class Certificate:
 def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
     """Return the Certificate of a Mesh (load it with `welded=False` to have its own indexing reported).
 
-    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises InputError when nothing is
-    left after the weld.
+    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises
+    InputError when nothing is left after the weld.
     """
     return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary)
 
@@ -117,7 +112,9 @@ def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
 def certify(
     vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with_boundary: bool = False
 ) -> Certificate:
-    """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64; see `certify_mesh`."""
+    """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64, as `certify_mesh`
+    does.
+    """
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
         raise InputError(f"{name} has no triangle with three different corners; give a mesh with a surface")
@@ -127,16 +124,7 @@ def certify(
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
     total = tuple(int(b) for b in betti.sum(axis=0))
     dual = dual_voids(simplices)
-    numbers = {
-        field: int(getattr(checks, field).sum())
-        for field in (
-            "open_edges",
-            "boundary_loops",
-            "nonmanifold_edges",
-            "pinched_vertices",
-            "reversed_edges",
-        )
-    }
+    numbers = {name: int(getattr(checks, name).sum()) for name in FAULTS}
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
     reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
     return Certificate(
@@ -168,16 +156,7 @@ def certify(
 def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
     vertices, edges, faces = counts
     euler = vertices - edges + faces
-    numbers = {
-        field: int(getattr(checks, field)[i])
-        for field in (
-            "open_edges",
-            "boundary_loops",
-            "nonmanifold_edges",
-            "pinched_vertices",
-            "reversed_edges",
-        )
-    }
+    numbers = {name: int(getattr(checks, name)[i]) for name in FAULTS}
     orientable, loops = bool(checks.orientable[i]), numbers["boundary_loops"]
     genus = expected = None
     if numbers["nonmanifold_edges"] == numbers["pinched_vertices"] == 0:
@@ -186,12 +165,12 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
         expected = (1, 2 - euler, 1) if loops == 0 else (1, 1 - euler, 0)
     whole = expected is not None and loops == 0 and orientable and numbers["reversed_edges"] == 0
     return Component(
-        vertices,
-        edges,
-        faces,
-        euler,
-        tuple(int(b) for b in betti),
-        expected,
+        vertices=vertices,
+        edges=edges,
+        faces=faces,
+        euler=euler,
+        betti=tuple(int(b) for b in betti),
+        expected=expected,
         **numbers,
         orientable=orientable,
         genus=genus,
@@ -203,7 +182,8 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
     reasons = []
     if numbers["open_edges"] and not with_boundary:
         reasons.append(
-            f"{_count(numbers['open_edges'], 'open edge')} in {_count(numbers['boundary_loops'], 'boundary loop')}"
+            f"{_count(numbers['open_edges'], 'open edge')} in "
+            f"{_count(numbers['boundary_loops'], 'boundary loop')}"
         )
     if numbers["nonmanifold_edges"]:
         reasons.append(
@@ -211,7 +191,8 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
         )
     if numbers["pinched_vertices"]:
         reasons.append(
-            f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} (faces in more than one fan)"
+            f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} "
+            "(faces in more than one fan)"
         )
     if checks.duplicate_faces:
         reasons.append(f"{_count(checks.duplicate_faces, 'duplicate face')}")
@@ -226,7 +207,8 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
         reasons.append(f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}")
     if any(each.expected not in (None, each.betti) for each in components) or dual not in (None, betti[2]):
         reasons.append(
-            "homology and Euler characteristic disagree: please report this mesh, it is a fault of the certificate"
+            "homology and Euler characteristic disagree: "
+            "please report this mesh, it is a fault of the certificate"
         )
     return reasons
 
@@ -247,7 +229,7 @@ def _notes(checks, components, collapsed: int) -> list[str]:
 
 
 def _kind(components: list[Component]) -> str:
-    """What the mesh is, in words: of one component its surface, else how many of which sort."""
+    """Return what the mesh is, in words: of one component its surface, else how many of which sort."""
     sorts: dict[str, int] = {}
     for each in components:
         sorts[_sort_of(each)] = sorts.get(_sort_of(each), 0) + 1

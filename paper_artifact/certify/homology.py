@@ -1,14 +1,14 @@
-"""Exact simplicial homology over Z/2 of a two-dimensional complex, by sparse reduction, and a second count of b2 by duality.
+"""Exact homology over Z/2 of a two-dimensional complex by sparse reduction, and b2 once more by duality.
 
-b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is a relation among
-them. Relations are eliminated without fill-in as long as some edge lies in one live relation only (a free face; clearing as in
-Chen & Kerber 2011); where none is left, one triangle is set aside, and at the end each such column is reduced against the
-pivots: it vanishes (a 2-cycle, b2), or enters a small dense elimination. b1 = cycles - rank. This is independent of any alpha
-complex and of floating point.
+b0: union-find over the edges. The edges outside a spanning forest are a basis of the cycles; each triangle is
+a relation among them. Relations are eliminated without fill-in as long as some edge lies in one live relation
+only (a free face; clearing as in Chen & Kerber 2011); where none is left, one triangle is set aside, and at
+the end each such column is reduced against the pivots: it vanishes (a 2-cycle, b2), or enters a small dense
+elimination. b1 = cycles - rank. This is independent of any alpha complex and of floating point.
 
-The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal coefficients, the
-edge of one triangle sets zero, the others give the equations. The two counts share no elimination, so their agreement is a
-check.
+The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal
+coefficients, the edge of one triangle sets zero, the others give the equations. The two counts share no
+elimination, so their agreement is a check.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numba import njit
 
 from paper_artifact.certify.simplices import Complex, labels_of_graph
 
-# Beyond this many bits of dense equations the dual count is left out (only complexes that are far from any surface get there).
+# Beyond this many bits of dense equations the dual count is left out; no surface comes near.
 DUAL_LIMIT = 400_000_000
 
 
@@ -31,7 +31,7 @@ def betti_numbers(simplices: Complex) -> np.ndarray:
     rank = np.bincount(of_face[pivots], minlength=count)
     voids = np.zeros(count, dtype=np.int64)
     bases: dict[int, dict[int, int]] = {}
-    for face, row in zip(deferred.tolist(), rows):
+    for face, row in zip(deferred.tolist(), rows, strict=True):
         component = int(of_face[face])
         if _enters(bases.setdefault(component, {}), row):
             rank[component] += 1
@@ -42,7 +42,7 @@ def betti_numbers(simplices: Complex) -> np.ndarray:
 
 
 def dual_voids(simplices: Complex) -> int | None:
-    """Return b2 of the whole complex as the dimension of its 2-cycles over Z/2; None where DUAL_LIMIT would be passed."""
+    """Return b2 of the whole complex, the dimension of its 2-cycles over Z/2; None beyond DUAL_LIMIT."""
     sides = simplices.face_edges.reshape(-1)
     face_of_side = np.arange(len(simplices.faces)).repeat(3)
     order = np.argsort(sides, kind="stable")
@@ -70,7 +70,7 @@ def dual_voids(simplices: Complex) -> int | None:
 
 
 def _enters(basis: dict[int, int], row: int) -> bool:
-    """Reduce `row` (bits) by `basis` (highest bit → row) and keep what is left; False when nothing is left."""
+    """Reduce `row` (bits) by `basis` (highest bit → row) and keep the rest there; False when none is left."""
     while row:
         pivot = row.bit_length()
         if pivot not in basis:
@@ -104,7 +104,9 @@ def _forest_kernel(edges: np.ndarray, vertex_count: int) -> np.ndarray:
 
 
 def _eliminate(face_edges: np.ndarray, tree: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """Return faces set aside (d,), faces that were pivots (p,), and of each face set aside what is left of its row, as bits."""
+    """Return the faces set aside (d,), those that were pivots (p,), and what is left of the former's rows, as
+    bits.
+    """
     face_edges = np.ascontiguousarray(face_edges)
     pivot_faces, pivot_time, deferred, deferred_time = _collapse(face_edges, tree)
     flat, ends = _reduce(face_edges, tree, pivot_faces, pivot_time, deferred, deferred_time)
@@ -118,12 +120,13 @@ def _eliminate(face_edges: np.ndarray, tree: np.ndarray) -> tuple[np.ndarray, np
 
 @njit(cache=True)
 def _collapse(face_edges: np.ndarray, tree: np.ndarray):
-    """Pivots in order: faces (p,), time (E,) at which an edge was pivot or -1; and the faces set aside with their time."""
+    """Return the pivots in order, faces (p,) and time (E,) of each edge or -1; the faces set aside and their
+    time.
+    """
     face_count, edge_count = len(face_edges), len(tree)
     degree = np.zeros(edge_count, dtype=np.int64)
-    both = np.zeros(
-        edge_count, dtype=np.int64
-    )  # xor of the live faces at an edge: the face itself when one is left
+    # xor of the live faces at an edge: the face itself when one is left
+    both = np.zeros(edge_count, dtype=np.int64)
     for face in range(face_count):
         for side in range(3):
             edge = face_edges[face, side]
@@ -178,9 +181,11 @@ def _collapse(face_edges: np.ndarray, tree: np.ndarray):
 
 @njit(cache=True)
 def _reduce(face_edges, tree, pivot_faces, pivot_time, deferred, deferred_time):
-    """What is left of each face set aside once all pivots are eliminated: edges, one list after the other, and the lists' ends.
+    """Return what is left of each face set aside without the pivots: edges, list after list, and the lists'
+    ends.
 
-    An eliminated relation holds its pivot and edges that become pivots later or never, so one sweep in order of time does it.
+    An eliminated relation holds its pivot and edges that become pivots later or never, so one sweep in order
+    of time does it.
     """
     bits = np.zeros(len(pivot_faces) // 64 + 1, dtype=np.uint64)
     odd = np.zeros(len(tree), dtype=np.bool_)

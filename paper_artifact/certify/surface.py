@@ -1,6 +1,7 @@
-"""Is a triangle mesh a surface? Open and non-manifold edges, pinched vertices, boundary loops, winding, orientability, volume.
+"""Is a mesh a surface? Open and non-manifold edges, pinched vertices, loops, winding, orientability, volume.
 
-All counts are of the faces as given (a face given twice counts twice at its edges), on exactly welded vertices.
+All counts are of the faces as given (a face given twice counts twice at its edges), on exactly welded
+vertices.
 """
 
 from __future__ import annotations
@@ -10,35 +11,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from paper_artifact.certify.simplices import edges_of, labels_of_graph
-from paper_artifact.mesh import face_areas
+from paper_artifact.sampling import face_areas
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceChecks:
-    """What is wrong or open, each attributed to the C components of the vertices.
+    """What is wrong or open, attributed to the C components of the vertices."""
 
-    open_edges, nonmanifold_edges, boundary_loops, pinched_vertices, reversed_edges (C,) int64: edges of one face; edges of more
-    than two; closed chains of open edges; vertices whose faces form more than one fan; edges whose two faces wind alike
-    (wrongly). orientable (C,) bool: a consistent winding exists. volume (C,) float64: signed, cubic world units, positive for
-    outward winding, meaningful for closed components only. duplicate_faces and flat_faces (int): repeats of another face; faces
-    of zero area.
-    """
-
-    open_edges: np.ndarray
-    nonmanifold_edges: np.ndarray
-    boundary_loops: np.ndarray
-    pinched_vertices: np.ndarray
-    reversed_edges: np.ndarray
-    orientable: np.ndarray
-    volume: np.ndarray
-    duplicate_faces: int
-    flat_faces: int
+    open_edges: np.ndarray  # (C,) int64, edges with one face
+    nonmanifold_edges: np.ndarray  # (C,) int64, edges with more than two faces
+    boundary_loops: np.ndarray  # (C,) int64, closed chains of open edges
+    pinched_vertices: np.ndarray  # (C,) int64, vertices whose faces form more than one fan
+    reversed_edges: np.ndarray  # (C,) int64, edges whose two faces wind alike (wrongly)
+    orientable: np.ndarray  # (C,) bool, a consistent winding exists
+    volume: np.ndarray  # (C,) float64, cubic world units, positive for outward winding; of closed components
+    duplicate_faces: int  # repeats of another face
+    flat_faces: int  # of zero area
 
 
 def check_surface(vertices: np.ndarray, faces: np.ndarray, component_of_vertex: np.ndarray) -> SurfaceChecks:
-    """Check vertices (V,3) float64 world units and faces (F,3) int64 (three different vertices each; every vertex used).
+    """Return the SurfaceChecks of vertices (V,3) float64, world units, and faces (F,3) int64.
 
-    component_of_vertex (V,) int64: the labels 0..C-1 that the counts are attributed to.
+    Each face has three different vertices, and every vertex is used. component_of_vertex (V,) int64: the
+    labels 0..C-1 that the counts are attributed to.
     """
     count = int(component_of_vertex.max()) + 1
     edges, face_edges = edges_of(faces, len(vertices))
@@ -75,7 +70,7 @@ def open_edge_count(faces: np.ndarray, vertex_count: int) -> int:
 
 
 def _chains(open_edges: np.ndarray, component_of_vertex: np.ndarray, count: int) -> np.ndarray:
-    """Connected chains of open edges per component: the boundary loops where no vertex is pinched."""
+    """Return the chains of open edges per component: the boundary loops where no vertex is pinched."""
     used, ends = np.unique(open_edges, return_inverse=True)
     ends = ends.reshape(-1, 2)
     chain = labels_of_graph(ends[:, 0], ends[:, 1], len(used))
@@ -84,7 +79,7 @@ def _chains(open_edges: np.ndarray, component_of_vertex: np.ndarray, count: int)
 
 
 def _pinched(faces, order, degree, component_of_vertex, count) -> np.ndarray:
-    """Vertices whose faces, joined across their common edges, fall into more than one fan."""
+    """Return per component the number of vertices whose faces, joined across edges, form several fans."""
     # Consecutive sides of one edge in `order`; the corners of their faces at either end belong to one fan.
     same = np.ones(len(order), dtype=bool)
     same[0] = False
@@ -100,7 +95,7 @@ def _pinched(faces, order, degree, component_of_vertex, count) -> np.ndarray:
 
 
 def _corners(faces: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corner numbers 3f+i at the lower- and the higher-numbered vertex of each side."""
+    """Return the corner numbers 3f+i at the lower- and the higher-numbered vertex of each side."""
     begin, end = sides, sides - sides % 3 + (sides + 1) % 3
     flat = faces.reshape(-1)
     swap = flat[begin] > flat[end]
@@ -108,7 +103,7 @@ def _corners(faces: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _orientable(face_count, first, second, alike, of_face, count) -> np.ndarray:
-    """A component is orientable unless some face meets its own reverse in the double cover."""
+    """Return which components are orientable: no face meets its own reverse in the double cover."""
     shift = np.where(alike, face_count, 0)
     left = np.concatenate([first, first + face_count])
     right = np.concatenate([second + shift, (second + face_count + shift) % (2 * face_count)])

@@ -19,7 +19,8 @@ def certificate_text(certificate: Certificate) -> str:
         ("kind", c.kind),
         (
             "as indexed",
-            f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, {c.open_edges_as_indexed} open edges",
+            f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, "
+            f"{c.open_edges_as_indexed} open edges",
         ),
         ("after exact weld", f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles"),
         (
@@ -35,7 +36,8 @@ def certificate_text(certificate: Certificate) -> str:
         ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
         (
             "Betti numbers, Z/2",
-            f"{c.betti}, b2 by duality {c.betti2_dual if c.betti2_dual is not None else 'not counted (too large)'}",
+            f"{c.betti}, b2 by duality "
+            + ("not counted (too large)" if c.betti2_dual is None else str(c.betti2_dual)),
         ),
         (
             "Euler characteristic",
@@ -45,12 +47,13 @@ def certificate_text(certificate: Certificate) -> str:
     ]
     lines += [f"  {label:<21}{text}" for label, text in rows]
     lines.append(
-        f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}{'open':>5}{'loops':>6}{'genus':>6}"
+        f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}"
+        f"{'open':>5}{'loops':>6}{'genus':>6}"
     )
     for number, each in enumerate(c.components[:LONGEST], start=1):
         lines.append(
-            f"  {number:<11}{each.vertices:>9}{each.faces:>10}{each.euler:>6}  {str(each.betti):<14}{_or_dash(each.expected):<14}"
-            f"{each.open_edges:>5}{each.boundary_loops:>6}{_or_dash(each.genus):>6}"
+            f"  {number:<11}{each.vertices:>9}{each.faces:>10}{each.euler:>6}  {str(each.betti):<14}"
+            f"{_or_dash(each.expected):<14}{each.open_edges:>5}{each.boundary_loops:>6}{_or_dash(each.genus):>6}"
         )
     if len(c.components) > LONGEST:
         lines.append(f"  … and {len(c.components) - LONGEST} smaller components (all of them in --json)")

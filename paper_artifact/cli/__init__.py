@@ -5,8 +5,8 @@ Each verb is a module `paper_artifact/cli/<verb>.py` with
     add_arguments(parser: argparse.ArgumentParser) -> None
     run(arguments: argparse.Namespace) -> int            # the exit code
 
-and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither torch
-nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
+and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither
+torch nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
 
 Exit codes: 0 done; 1 failed (InputError: one line on stderr, no trace; Ctrl-C likewise); 2 wrong usage.
 """
@@ -69,6 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(runners[arguments.verb](arguments) or 0)
     except InputError as error:
         print(f"paper_artifact: {error}", file=sys.stderr)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
+            raise
+        print(
+            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not installed; "
+            "in a checkout run `bash test.sh` and use .venv/bin/python, else `pip install 'paper_artifact[study]'`",
+            file=sys.stderr,
+        )
     except KeyboardInterrupt:
         print(
             "paper_artifact: interrupted; finished files are complete and the same command can be run again",
@@ -116,7 +124,4 @@ def _load(name: str, verb: Verb):
                 f"the verb '{name}' is not part of this version ({__version__}); "
                 "`python -m paper_artifact --help` lists the verbs"
             ) from None
-        raise InputError(
-            f"the verb '{name}' needs the Python package '{error.name}', which is not installed; "
-            "run `bash reproduce.sh` or `bash test.sh`, which set up .venv, and use .venv/bin/python"
-        ) from error
+        raise

@@ -47,12 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Audit, write the report, print a summary. Returns 0, also when nothing is measurable; InputError goes to the caller."""
+    """Audit, write the report, print a summary.
+
+    Returns 0, also when nothing is measurable; InputError goes to the caller.
+    """
     import matplotlib
     from tqdm import tqdm
 
     matplotlib.use("Agg")
-    from paper_artifact.audit.audit import audit_mesh
+    from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.page import audit_page, headline
     from paper_artifact.audit.rule import DENSITIES, WORKING
     from paper_artifact.files import write_json, write_text

@@ -42,7 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fetch and print one line per mesh; a failing one is named and the others go on. Returns 0, or 1 if one failed."""
+    """Fetch and print one line per mesh; a failing one is named and the others go on.
+
+    Returns 0, or 1 if one failed.
+    """
     if arguments.list:
         for entry in sources().values():
             place = f"{entry.repository}@{entry.commit[:8]}:{entry.path}" if entry.obtainable else entry.notes

@@ -1,16 +1,18 @@
-"""`python -m paper_artifact measure NAME`: make a measurement that the notebooks read from `results/measured/`."""
+"""`python -m paper_artifact measure NAME`: make a measurement that the notebooks read from
+`results/measured/`.
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from paper_artifact.report.measured import MEASURED, MEASUREMENTS, measure
+from paper_artifact.report.measured import MEASURED, MEASUREMENTS, write
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    summaries = "; ".join(f"{name}: {each.summary}" for name, each in MEASUREMENTS.items())
+    summaries = "; ".join(f"{name}: {summary}" for name, (_, summary) in MEASUREMENTS.items())
     parser.add_argument("name", choices=tuple(MEASUREMENTS), help=summaries)
     parser.add_argument(
         "--out",
@@ -22,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and write the CSV. Returns 0."""
+    """Return 0 after the measurement is written to its CSV."""
     from tqdm import tqdm
 
     with tqdm(desc=f"measuring {arguments.name}", unit="part", disable=arguments.quiet) as bar:
@@ -31,6 +33,6 @@ def run(arguments: argparse.Namespace) -> int:
             bar.set_postfix_str(text)
             bar.update()
 
-        path = measure(arguments.name, arguments.out, progress)
+        path = write(arguments.name, arguments.out, progress)
     print(f"written: {path}")
     return 0

@@ -37,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed; InputError goes to the caller."""
+    """Run the sweep and report failures at the end.
+
+    Returns 0, or 1 when a run failed; InputError goes to the caller.
+    """
     from tqdm import tqdm
 
     from paper_artifact.study.studies import study_configs

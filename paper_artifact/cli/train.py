@@ -55,7 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def config_from_arguments(arguments: argparse.Namespace) -> RunConfig:
-    """Return the configuration that the command line asks for. InputError for what is unknown or out of range."""
+    """Return the configuration that the command line asks for.
+
+    InputError for what is unknown or out of range.
+    """
     changes = parse_changes(arguments.changes, "--set")
     for name in set(changes) & {"shape", "condition", "seed", "steps", "loss"}:
         raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")

@@ -1,19 +1,22 @@
 """The exact bottleneck distance of large persistence diagrams.
 
-Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all of them near the diagonal. These facts make the
-distance cheap; c is the distance, h a bar's half lifetime (its L-infinity distance to the diagonal), d the L-infinity distance of
-two bars, and `a`, `b` are bars (k,2), (l,2) of one dimension, births and deaths in any one unit.
+Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all of them near the diagonal. These
+facts make the distance cheap; c is the distance, h a bar's half lifetime (its L-infinity distance to the
+diagonal), d the L-infinity distance of two bars, and `a`, `b` are bars (k,2), (l,2) of one dimension, births
+and deaths in any one unit.
 
-1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value, is at most c;
-   often c = L.
-2. c <= t holds iff the bars of a with h > t can all be matched to different bars of b with d <= t, and the other way round:
-   matchings that cover either side combine to one that covers both (Mendelsohn and Dulmage 1958), the rest goes to the diagonal.
-3. A bar with at least as many partners in reach as there are bars to match can be matched last, whatever the others take.
-   Leaving such bars out, again and again, reduces the matching of fact 2 to a few bars.
+1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value,
+   is at most c; often c = L.
+2. c <= t holds iff the bars of a with h > t can all be matched to different bars of b with d <= t, and the
+   other way round: matchings that cover either side combine to one that covers both (Mendelsohn and Dulmage
+   1958), the rest goes to the diagonal.
+3. A bar with at least as many partners in reach as there are bars to match can be matched last, whatever the
+   others take. Leaving such bars out, again and again, reduces the matching of fact 2 to a few bars.
 
-On 20,000 samples of a sphere this takes .02–.07 s of CPU a dimension, gudhi.bottleneck_distance (3.13) .2–4.2 s. The latter
-returns a slightly larger value than an exhaustive search for about one in 3,000 small random diagrams (more with e = 0);
-this one and gudhi.hera.bottleneck_distance with delta = 0 never did, so the tests compare with hera.
+On 20,000 samples of a sphere this takes .02–.07 s of CPU a dimension, gudhi.bottleneck_distance (3.13) .2–4.2
+s. The latter returns a slightly larger value than an exhaustive search for about one in 3,000 small random
+diagrams (more with e = 0); this one and gudhi.hera.bottleneck_distance with delta = 0 never did, so the tests
+compare with hera.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from scipy.spatial import cKDTree
 
 
 def bottleneck(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the bottleneck distance of the finite bars a (k,2) and b (l,2), L-infinity, in the bars' own unit.
+    """Return the bottleneck distance (L-infinity) of finite bars a (k,2) and b (l,2), in the bars' own unit.
 
     Exact up to rounding (1 ulp of a death); either side may be empty.
     """
@@ -51,7 +54,7 @@ def _half(bars: np.ndarray) -> np.ndarray:
 
 
 def _nearest_cost(bars: np.ndarray, others: np.ndarray) -> float:
-    """Return the largest over `bars` of min(half lifetime, distance to the nearest of `others`); 0 for no bars (fact 1)."""
+    """Return fact 1's lower bound: the largest min(half lifetime, distance to the nearest other)."""
     if not len(bars):
         return 0.0
     if not len(others):
@@ -61,7 +64,7 @@ def _nearest_cost(bars: np.ndarray, others: np.ndarray) -> float:
 
 
 def _least(low: float, high: float, feasible) -> float:
-    """Return the least feasible bound in [low, high], to the last float; high is feasible, and more is never less so."""
+    """Return the least feasible bound in [low, high], to the last float; high and all above are feasible."""
     high = max(low, high)
     if feasible(low):
         return low
@@ -76,7 +79,7 @@ def _least(low: float, high: float, feasible) -> float:
 
 
 def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
-    """Whether the bars with half lifetime > bound can be matched to different `others` at most `bound` away (facts 2, 3)."""
+    """Return whether all bars of half lifetime > bound can have different partners in reach (facts 2, 3)."""
     needy = bars[_half(bars) > bound]
     if not len(needy):
         return True
@@ -100,7 +103,7 @@ def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
 
 
 def _covered_on_a_ray(deaths: np.ndarray, others: np.ndarray, bound: float) -> bool:
-    """Fact 2 for bars born at 0, given their sorted deaths: equal reaches, so in order each takes the first free partner."""
+    """Return `_covered` for bars born at 0, given sorted deaths: each takes the first free partner."""
     needy = deaths[deaths / 2 > bound]
     if not len(needy):
         return True

@@ -1,8 +1,9 @@
 """Persistence diagrams of surface samples, what is significant in them, and their bottleneck distances.
 
-A diagram is a tuple of three arrays, one per dimension 0, 1, 2, each (k,2) float64: births and deaths of the finite bars
-of the alpha complex, as RADII divided by the ground truth's bounding-box diagonal (dimensionless). The one infinite bar of
-dimension 0 is left out, so a connected shape has no significant bar there.
+A diagram is a tuple of three arrays, one per dimension 0, 1, 2, each (k,2) float64: births and deaths of the
+finite bars of the alpha complex, as RADII divided by the ground truth's bounding-box diagonal
+(dimensionless). The one infinite bar of dimension 0 is left out, so a connected shape has no significant bar
+there.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from paper_artifact.errors import InputError
 from paper_artifact.evaluate.bottleneck import bottleneck
+from paper_artifact.topology.floor import check_diagonal
 
 Diagram = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -25,10 +26,7 @@ def diagram_of(points: np.ndarray, diagonal: float, method: str = "fast") -> Dia
     """
     from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
-    if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
-        )
+    check_diagonal(diagonal)
     pairs = alpha_persistence(np.ascontiguousarray(points, dtype=np.float64), method=method)
     return tuple(np.column_stack([each.births, each.deaths]) / float(diagonal) for each in pairs)
 
@@ -39,7 +37,7 @@ def lifetimes(bars: np.ndarray) -> np.ndarray:
 
 
 def significant_counts(diagram: Sequence[np.ndarray], floor: float) -> tuple[int, int, int]:
-    """Count the finite bars per dimension whose lifetime exceeds `floor` (radius / diagonal), paper §3.1.
+    """Return how many finite bars per dimension live longer than `floor` (radius / diagonal), paper §3.1.
 
     A connected shape counts 0 in dimension 0: add one for the infinite bar to compare with a Betti number.
     """
@@ -47,7 +45,7 @@ def significant_counts(diagram: Sequence[np.ndarray], floor: float) -> tuple[int
 
 
 def longest_bars(bars: np.ndarray, floor: float, at_least: int = 8, at_most: int = 24) -> np.ndarray:
-    """Return the longest of `bars` (k,2), longest first: all longer than half the `floor`, kept within the two limits.
+    """Return the longest of `bars` (k,2), longest first: those above half the `floor`, within the two limits.
 
     Ties are ordered by birth, so equal diagrams give equal rows.
     """

@@ -1,8 +1,8 @@
 """Distances between two point samples: Chamfer and the 95 % Hausdorff distance.
 
-All take a (n,3) and b (m,3) float, world units, and `diagonal`, the ground truth's bounding-box diagonal in the same unit,
-and return a fraction of that diagonal: not squared, not percent. Two samples of one surface do not reach zero: at 20,000
-points each a unit sphere reads chamfer .36 %.
+All take a (n,3) and b (m,3) float, world units, and `diagonal`, the ground truth's bounding-box diagonal in
+the same unit, and return a fraction of that diagonal: not squared, not percent. Two samples of one surface do
+not reach zero: at 20,000 points each a unit sphere reads chamfer .36 %.
 """
 
 from __future__ import annotations
@@ -11,11 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
-
-
-def chamfer(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
-    """Return the MEAN of the two directions' mean nearest distances (Table 1's Chamfer, ×100 for percent)."""
-    return point_distances(a, b, diagonal)["chamfer"]
+from paper_artifact.topology.floor import check_diagonal
 
 
 def chamfer_sum(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
@@ -23,24 +19,17 @@ def chamfer_sum(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
     return point_distances(a, b, diagonal)["chamfer_sum"]
 
 
-def hausdorff95(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
-    """Return the larger of the two directions' 95th percentiles of nearest distances (linear interpolation).
-
-    The paper names Hausdorff95 without a formula (§2, Table S1); this is the definition common in segmentation.
-    """
-    return point_distances(a, b, diagonal)["hausdorff95"]
-
-
 def point_distances(a: np.ndarray, b: np.ndarray, diagonal: float) -> dict[str, float]:
     """Return {"chamfer", "chamfer_sum", "hausdorff95"} of one pair of nearest-neighbour searches.
 
-    Raises InputError for an empty sample, a coordinate that is not finite, or a diagonal that is not positive.
+    chamfer: MEAN of the two directions' mean nearest distances (Table 1, ×100 for percent); chamfer_sum:
+    their SUM (Table S1); hausdorff95: the larger of the two directions' 95th percentiles, interpolated
+    linearly. The paper names Hausdorff95 without a formula (§2, Table S1); this is the definition common in
+    segmentation. Raises InputError for an empty sample, a coordinate that is not finite, or a diagonal that
+    is not positive.
     """
     a, b = _checked(a, "first"), _checked(b, "second")
-    if not np.isfinite(diagonal) or diagonal <= 0:
-        raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
-        )
+    check_diagonal(diagonal)
     forward = cKDTree(b).query(a)[0] / diagonal
     backward = cKDTree(a).query(b)[0] / diagonal
     total = float(forward.mean() + backward.mean())

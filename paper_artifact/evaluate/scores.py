@@ -1,14 +1,13 @@
 """Targets and dumps: one reconstruction measured against one ground truth (paper §4, "Metrics and verdict").
 
-A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same number of
-α×area-weighted samples of a soup (or any samples) compared with it. Everything in a dump is dimensionless: lengths are divided by
-the ground truth's bounding-box diagonal, births and deaths are radii.
+A target is 20,000 area-weighted samples of the ground-truth mesh with their diagram; a dump is the same
+number of α×area-weighted samples of a soup (or any samples) compared with it. Everything in a dump is
+dimensionless: lengths are divided by the ground truth's bounding-box diagonal, births and deaths are radii.
 """
 
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +18,8 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.files import RESULTS, atomic_path
-from paper_artifact.mesh import Mesh
+from paper_artifact.files import RESULTS, atomic_path, load_npz
+from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.floor import measurement_floor
@@ -33,23 +32,19 @@ DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A ground truth as the metrics see it.
+    """A ground truth as the metrics see it."""
 
-    samples (n,3) float64, world units; diagonal: bounding-box diagonal, world units; diagram: finite bars per dimension, radius /
-    diagonal; floor: 6·r_med / diagonal of `samples`; dimension: the discriminating one (0, 1 or 2); seed of the samples.
-    """
-
-    name: str
-    samples: np.ndarray
-    diagonal: float
-    diagram: Diagram
-    floor: float
-    dimension: int
-    seed: int
+    name: str  # of the mesh
+    samples: np.ndarray  # (n,3) float64 points of the surface, world units
+    diagonal: float  # of the bounding box, world units
+    diagram: Diagram  # finite bars of the samples per dimension, radius / diagonal
+    floor: float  # 6·r_med / diagonal of the samples
+    dimension: int  # the judged one: 0, 1 or 2
+    seed: int  # of the samples
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Significant finite bars per dimension."""
+        """The numbers of significant finite bars per dimension."""
         return significant_counts(self.diagram, self.floor)
 
 
@@ -62,9 +57,10 @@ def make_target(
 ) -> Target:
     """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
 
-    dimension: the discriminating one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.
-    cache: a folder that keeps the diagram (some MB a target, not for git), or None. A cached file that does not match or
-    cannot be read is made anew. Raises InputError for a dimension outside 0..2 or a mesh that cannot be sampled.
+    dimension: the judged one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.
+    cache: a folder that keeps the diagram (some MB a target, not for git), or None. A cached file that does
+    not match or cannot be read is made anew. Raises InputError for a dimension outside 0..2 or a mesh that
+    cannot be sampled.
     """
     if dimension not in (None, 0, 1, 2):
         raise InputError(f"the discriminating dimension must be 0, 1 or 2, got {dimension}")
@@ -79,7 +75,9 @@ def make_target(
         diagram = diagram_of(samples, mesh.diagonal)
         if path is not None:
             with atomic_path(path) as temporary, open(temporary, "wb") as handle:
-                np.savez_compressed(handle, **{f"bars_{i}": bars for i, bars in enumerate(diagram)})
+                np.savez_compressed(
+                    handle, **{f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)}
+                )
     floor = measurement_floor(samples, mesh.diagonal)
     if dimension is None:
         row = shape_row(mesh.name)
@@ -90,7 +88,7 @@ def make_target(
 
 
 def discriminating_dimension(betti: Sequence[int] | None, counts: Sequence[int]) -> int:
-    """Return the dimension to judge a shape in that the study does not name: components, then loops, then voids.
+    """Return the dimension to judge a shape in that is none of the study's: components, loops, then voids.
 
     betti: (b0, b1, b2) where known, else None, and the significant finite `counts` of its samples decide.
     """
@@ -101,10 +99,11 @@ def discriminating_dimension(betti: Sequence[int] | None, counts: Sequence[int])
 def soup_samples(
     vertices: np.ndarray, opacity: np.ndarray, count: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Return `count` samples (count,3) float64 of a soup, density ∝ area × α, α the mean of a triangle's corner opacities.
+    """Return `count` samples (count,3) float64 of a soup, drawn with density proportional to area × α.
 
-    vertices (T,3,3) float, world units; opacity (T,3) float in [0,1] (after the sigmoid). Paper §3.2.
-    Raises InputError for wrong shapes, values outside [0,1] or not finite, or a soup without area × α.
+    α is the mean of a triangle's corner opacities; vertices (T,3,3) float, world units; opacity (T,3) float
+    in [0,1] (after the sigmoid). Paper §3.2. Raises InputError for wrong shapes, values outside [0,1] or not
+    finite, or a soup without area × α.
     """
     vertices, opacity = np.asarray(vertices, dtype=np.float64), np.asarray(opacity, dtype=np.float64)
     if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
@@ -113,18 +112,20 @@ def soup_samples(
         )
     if not np.isfinite(vertices).all() or not ((opacity >= 0) & (opacity <= 1)).all():
         raise InputError(
-            "the soup holds coordinates that are not finite or opacities outside [0, 1]; its training has diverged"
+            "the soup holds coordinates that are not finite or opacities outside [0, 1]; "
+            "its training has diverged"
         )
     faces = np.arange(3 * len(vertices)).reshape(-1, 3)
     return sample_surface(vertices.reshape(-1, 3), faces, count, generator, weights=opacity.mean(axis=1))[0]
 
 
 def evaluate_samples(samples: np.ndarray, target: Target) -> dict:
-    """Compare `samples` (n,3) float, world units, with `target`; n should be the target's for a fair reading.
+    """Return how far `samples` (n,3) float, world units, are from `target`; to be fair, n is the target's.
 
-    Returns a JSON-ready dict: "bottleneck" [3] (per dimension, finite bars), "counts" [3] (significant at the samples' own floor)
-    and "floor", "counts_at_target_floor" [3], "chamfer", "chamfer_sum", "hausdorff95", "bars" (per dimension the longest
-    [birth, death], at least 8 if there are, all longer than half the floor up to 24). Raises InputError as its parts do.
+    The dict is JSON-ready: "bottleneck" [3] (per dimension, finite bars), "counts" [3] (significant at the
+    samples' own floor) and "floor", "counts_at_target_floor" [3], "chamfer", "chamfer_sum", "hausdorff95",
+    "bars" (per dimension the longest [birth, death], at least 8 if there are, all longer than half the floor
+    up to 24). Raises InputError as its parts do.
     """
     diagram = diagram_of(samples, target.diagonal)
     floor = measurement_floor(samples, target.diagonal)
@@ -151,7 +152,7 @@ def evaluate_soup(
 
 
 def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> float:
-    """Return the mean bottleneck in `dimension` of the last dumps by step (2300, 2400, 2500 in the study; paper §4).
+    """Return the mean bottleneck in `dimension` of the last dumps (2300, 2400, 2500 in the study; paper §4).
 
     Raises InputError for fewer than `last` dumps.
     """
@@ -164,7 +165,11 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> fl
 
 
 def tails(dumps: Sequence[Mapping], last: int = TAIL_DUMPS) -> dict:
-    """Return means over the last dumps, "bottleneck" [3], "chamfer", "hausdorff95", their "steps", and the last "counts" [3]."""
+    """Return the last dumps' "steps", mean "bottleneck" [3], "chamfer" and "hausdorff95", and last "counts"
+    [3].
+
+    Raises InputError for fewer than `last` dumps.
+    """
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
     means = {
@@ -186,21 +191,16 @@ def _file_name(name: str) -> str:
 
 
 def _digest(mesh: Mesh, count: int, seed: int) -> str:
-    """Return 12 hex digits of what the cached diagram depends on: the mesh's arrays, the draw, and the units' version."""
-    digest = hashlib.sha256(f"diagram 1, radius/diagonal, {count}, {seed}".encode())
-    for array in (np.ascontiguousarray(mesh.vertices, "<f8"), np.ascontiguousarray(mesh.faces, "<i8")):
-        digest.update(str(array.shape).encode() + array.tobytes())
-    return digest.hexdigest()[:12]
+    """Return 12 hex digits of what the cached diagram depends on: the units, the draw and the mesh."""
+    content = f"diagram 1, radius/diagonal, {count}, {seed}, {mesh_hash(mesh)}"
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 
 def _cached_diagram(path: Path | None) -> Diagram | None:
     if path is None or not path.is_file():
         return None
     try:
-        with (
-            open(path, "rb") as handle,
-            np.load(handle) as stored,
-        ):  # np.load alone leaks the handle of a damaged file
-            return tuple(stored[f"bars_{i}"] for i in range(3))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        stored = load_npz(path)
+        return tuple(stored[f"bars_{dimension}"] for dimension in range(3))
+    except (OSError, ValueError, KeyError):
         return None  # a damaged cache costs seconds, not a run

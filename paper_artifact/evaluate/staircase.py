@@ -1,4 +1,4 @@
-"""One rung of a density staircase: what a clean surface shows at M samples, and which lifetimes clear its floor (App. B, §6)."""
+"""One rung of a density staircase: what a clean surface shows at M samples, and its floor (App. B, §6)."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from paper_artifact.evaluate.diagram import Diagram, diagram_of, lifetimes
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
-from paper_artifact.topology.floor import measurement_floor
+from paper_artifact.topology.floor import MULTIPLIER, measurement_floor
 
-MULTIPLIER = 6.0  # the floor is 6 r_med
 KEPT = 4  # longest bars kept per dimension: no surface of the study has more classes than that
 
 
 def measure(mesh: Mesh, samples: int, seed: int) -> tuple[Diagram, float]:
-    """Return (diagram, floor), radius / diagonal, of `samples` area-weighted points of the mesh: the bundle's points of this seed."""
-    points = sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, "bundle-samples"))[0]
+    """Return (diagram, floor), radius / diagonal, of `samples` points of the mesh: the bundle's of that seed."""
+    points, _, _ = sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, "bundle-samples"))
     return diagram_of(points, mesh.diagonal), measurement_floor(points, mesh.diagonal, MULTIPLIER)
 
 

@@ -14,7 +14,7 @@ from paper_artifact.files import write_bytes
 
 
 def write_png(path: Path | str, image: np.ndarray) -> None:
-    """Write `image` (H,W,3) or (H,W,4) float in [0,1] as an 8-bit PNG, rounded to the nearest level; values outside are clipped.
+    """Write `image` (H,W,3) or (H,W,4) float as an 8-bit PNG: clipped to [0,1], rounded to the nearest level.
 
     Raises InputError for another shape, values that are not finite, or a path that is not writable.
     """

@@ -14,7 +14,7 @@ from paper_artifact.files import write_bytes
 
 
 def write_ply(path: Path | str, triangles: Triangles) -> None:
-    """Write all triangles as binary PLY: per corner x y z, red green blue (sRGB bytes), alpha (opacity, a byte).
+    """Write all triangles as binary PLY: per corner x y z, red green blue (sRGB bytes), alpha (opacity byte).
 
     Raises InputError when `path` is not writable.
     """
@@ -24,9 +24,9 @@ def write_ply(path: Path | str, triangles: Triangles) -> None:
 def write_glb(path: Path | str, triangles: Triangles) -> None:
     """Write the triangles of mean opacity ≥ .5 as binary glTF 2.0, unlit, double-sided, with vertex colours.
 
-    glTF wants COLOR_0 linear, so the bytes are the colours after the inverse sRGB curve; a conforming viewer shows the trained
-    colours. Opacity is left out: soups blended without sorting look wrong. Raises InputError as `Triangles.visible` does,
-    and when `path` is not writable.
+    glTF wants COLOR_0 linear, so the bytes are the colours after the inverse sRGB curve; a conforming viewer
+    shows the trained colours. Opacity is left out: soups blended without sorting look wrong. Raises
+    InputError as `Triangles.visible` does, and when `path` is not writable.
     """
     shown = triangles.visible()
     mesh = _trimesh(shown, srgb_to_linear(shown.colours), np.ones_like(shown.opacity))
@@ -50,7 +50,9 @@ def _trimesh(triangles: Triangles, colours: np.ndarray, opacity: np.ndarray) -> 
 
 
 def _unlit(tree: dict) -> None:
-    """Give every primitive one unlit, double-sided material: a soup has no inside, and its colours hold their light."""
+    """Give every primitive one unlit, double-sided material: a soup has no inside, its colours hold their
+    light.
+    """
     tree["materials"] = [
         {
             "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},

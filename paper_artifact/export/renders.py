@@ -1,4 +1,4 @@
-"""Pictures of a soup: from cameras around it, or from the held-out views of a scene with the photographs beside."""
+"""Pictures of a soup: from cameras around it, or from a scene's held-out views beside the photographs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from paper_artifact.export.triangles import THRESHOLD
 from paper_artifact.mesh import Mesh
 from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.load import Scene, load_scene
@@ -19,7 +20,7 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees.
     """
     corners = soup.vertices.detach().numpy().astype(np.float64)
-    visible = soup.corner_opacity().mean(axis=1) >= 0.5
+    visible = soup.corner_opacity().mean(axis=1) >= THRESHOLD
     corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)
     cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
     cameras = fibonacci_cameras(cloud, count, size)
@@ -27,22 +28,23 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
         [world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]
     ).astype(np.float32)
     scene = Scene(
-        Path(),
-        tuple(f"view {i}" for i in range(count)),
-        np.ones((count, size, size, 3), dtype=np.float32),
-        matrices,
-        np.stack([camera.position for camera in cameras]).astype(np.float32),
-        np.ones(3, dtype=np.float32),
-        np.zeros((0, 3), dtype=np.float32),
-        np.arange(count),
-        np.arange(0),
-        cloud.radius,
+        path=Path(),
+        names=tuple(f"view {i}" for i in range(count)),
+        images=np.ones((count, size, size, 3), dtype=np.float32),
+        world_to_clip=matrices,
+        camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
+        background=np.ones(3, dtype=np.float32),
+        points=np.zeros((0, 3), dtype=np.float32),
+        train=np.arange(count),
+        holdout=np.arange(0),
+        radius=cloud.radius,
     )
     return list(render_views(soup, scene, np.arange(count)))
 
 
 def scene_renders(soup: Soup, folder: Path | str) -> list[list[np.ndarray]]:
-    """Return two rows of images (H,W,3) float32 in [0,1]: the scene's held-out photographs, and the soup's renders.
+    """Return two rows of images (H,W,3) float32 in [0,1]: the scene's held-out photographs, the soup's
+    renders.
 
     Raises InputError as `load_scene` does.
     """

@@ -19,11 +19,11 @@ MOST_TRIANGLES = 400_000  # about 25 MB of HTML
 
 
 def write_html(path: Path | str, parts: Mapping[str, Triangles], title: str) -> None:
-    """Write a page that shows `parts` (name → triangles, world units), one at a time, chosen by buttons, the first at once.
+    """Write a page that shows `parts` (name → triangles, world units) one at a time, chosen by buttons.
 
-    Drag to orbit, wheel or pinch to zoom, double click to reset; "light" adds a headlight. Triangles of mean opacity below
-    .5 are left out. Raises InputError for no parts, a part that is empty or not finite, more triangles than a page can hold, or a
-    path that is not writable.
+    Drag to orbit, wheel or pinch to zoom, double click to reset; "light" adds a headlight. Triangles of mean
+    opacity below .5 are left out. Raises InputError for no parts, a part that is empty or not finite, more
+    triangles than a page can hold, or a path that is not writable.
     """
     write_text(path, html_page(parts, title))
 

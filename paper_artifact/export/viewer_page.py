@@ -143,4 +143,4 @@ data.parts.forEach((part, i) => {
 });
 if (gl) { program = prepare(); choose(0); } else { hint.textContent = "This browser offers no WebGL, so nothing can be drawn."; }
 </script></body></html>
-"""
+"""  # noqa: E501

@@ -1,8 +1,9 @@
 """The exact unsigned distance to a triangle soup on a regular grid, in a narrow band around it.
 
-For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab around its plane)
-and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5) is minimised; beyond the band the
-field is the band. No sign, no ray, no winding: the soup may be open, overlapping and non-manifold.
+For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab
+around its plane) and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5)
+is minimised; beyond the band the field is the band. No sign, no ray, no winding: the soup may be open,
+overlapping and non-manifold.
 """
 
 from __future__ import annotations
@@ -19,20 +20,19 @@ MOST_POINTS = 400_000_000  # grid points, 1.6 GB
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """values (nx,ny,nz) float32: distance in world units, at most `band`; point (i,j,k) lies at origin + cell·(i,j,k), world."""
+    """Distances on a grid whose point (i,j,k) lies at origin + cell·(i,j,k)."""
 
-    values: np.ndarray
-    origin: np.ndarray
-    cell: float
-    band: float
+    values: np.ndarray  # (nx,ny,nz) float32, world units, at most `band`
+    origin: np.ndarray  # (3,) float64, world units
+    cell: float  # spacing, world units
+    band: float  # world units
 
 
 def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: float) -> DistanceGrid:
-    """Return the DistanceGrid of triangles, vertices (V,3) float64 and faces (F,3) int64, with spacing `cell`; all in world
-    units.
+    """Return the DistanceGrid of vertices (V,3) float64 and faces (F,3) int64; cell and band: world units.
 
-    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large, or sizes are not
-    positive.
+    The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large,
+    or sizes are not positive.
     """
     if not (np.isfinite([cell, band]).all() and cell > 0 and band > 0):
         raise InputError(f"grid spacing and band must be positive lengths, got {cell} and {band}")
@@ -42,7 +42,8 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: fl
     shape = np.ceil((high - low + 2 * margin) / cell).astype(np.int64) + 1
     if float(np.prod(shape.astype(np.float64))) > MOST_POINTS:
         raise InputError(
-            f"the grid would have {' × '.join(map(str, shape))} points; take a larger offset or fewer cells per offset"
+            f"the grid would have {' × '.join(map(str, shape))} points; "
+            "take a larger offset or fewer cells per offset"
         )
     # A fraction of a cell that no symmetric model repeats, so that faces rarely fall on grid planes.
     origin = low - margin - cell * np.array([0.137, 0.291, 0.419])
@@ -53,7 +54,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: fl
 
 @njit(cache=True)
 def _minimise(values, corners, band, cell):
-    """Lower `values` to the distance of each triangle of `corners` (F,3,3), in grid units; the result is in world units."""
+    """Lower `values` (world units) to the distance of each triangle of `corners` (F,3,3), in grid units."""
     shape = values.shape
     point = np.empty(3)
     for face in range(len(corners)):
@@ -91,9 +92,7 @@ def _minimise(values, corners, band, cell):
 
 @njit(cache=True)
 def squared_distance(p, a, b, c):
-    """Squared distance of point p to triangle abc, each (3,) float64 in one unit; exact up to rounding, also for flat
-    triangles.
-    """
+    """Return the squared distance of point p to triangle abc, (3,) float64 each, also for flat triangles."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]

@@ -1,13 +1,14 @@
 """A procedural hot pot with a flue, in the role of the paper's tom-yum pot, which is not public.
 
-Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with 12-gons, junction edges
-where three shells meet, no inside. After ingest it is one body of genus 3: two slot handles and one vent slot give six thin
-loops, and the flue with its narrow mouth is open, so that its chamber is a void only to a measurement. It is a stand-in, not
-the paper's pot.
+Like the paper's export (suppl. B, Table S4) it is raw: nine overlapping open shells, quads mixed with
+12-gons, junction edges where three shells meet, no inside. After ingest it is one body of genus 3: two slot
+handles and one vent slot give six thin loops, and the flue with its narrow mouth is open, so that its chamber
+is a void only to a measurement. It is a stand-in, not the paper's pot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,16 +29,14 @@ HANDLE_GAP, HANDLE_TUBE, HANDLE_ANGLE, HANDLE_HEIGHT = 0.036, 0.012, 0.30, 0.10
 
 @dataclass(frozen=True, eq=False)
 class RawPot:
-    """vertices (V,3) float64, model units; polygons: vertex indices of each, 4 or 12 of them; shell (len(polygons),) int64:
-    0..8.
-    """
+    """The pot as modelled: nine open shells of polygons."""
 
-    vertices: np.ndarray
-    polygons: tuple[tuple[int, ...], ...]
-    shell: np.ndarray
+    vertices: np.ndarray  # (V,3) float64, model units
+    polygons: tuple[tuple[int, ...], ...]  # vertex indices of each, 4 or 12
+    shell: np.ndarray  # (len(polygons),) int64, 0..8
 
     def obj(self) -> str:
-        """The pot as Wavefront OBJ text, polygons kept, one group per shell."""
+        """Return the pot as Wavefront OBJ text, polygons kept, one group per shell."""
         lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.vertices.tolist()]
         for number in range(int(self.shell.max()) + 1):
             lines.append(f"g shell_{number}")
@@ -48,13 +47,15 @@ class RawPot:
         return "\n".join(lines) + "\n"
 
     def mesh(self) -> Mesh:
-        """The pot as a Mesh: polygons split by the fan 0–2, points not welded."""
+        """Return the pot as a Mesh: polygons split by the fan 0–2, points not welded."""
         faces = [(p[0], p[i], p[i + 1]) for p in self.polygons for i in range(1, len(p) - 1)]
         return checked_mesh(self.vertices, np.array(faces), NAME, welded=False)
 
 
 def raw_pot() -> RawPot:
-    """Build the raw pot: wall, floor, foot with a vent slot, flue chamber, flue neck, flue bottom, two handles, rolled rim."""
+    """Return the raw pot: wall, floor, foot with a vent slot, flue chamber, neck and bottom, two handles,
+    rim.
+    """
     shells = [
         _revolve(
             [(FLOOR_RADIUS, 0.0), (0.265, 0.055), (0.31, 0.11), (0.355, 0.165), (RIM_RADIUS, RIM_HEIGHT)],
@@ -85,7 +86,7 @@ def raw_pot() -> RawPot:
 
 
 def pot_solid() -> Solid:
-    """Ingest the raw pot with the offset that its loops and its flue are tuned to."""
+    """Return the raw pot, ingested with the offset that its loops and its flue are tuned to."""
     return solidify(raw_pot().mesh(), OFFSET, CELLS)
 
 
@@ -94,20 +95,26 @@ def _ring(radius: float, height: float, count: int) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], axis=1)
 
 
-def _revolve(profile: list[tuple[float, float]], count: int, leave_out: set[tuple[int, int]] = frozenset()):
-    """Quads between the rings of a (radius, height) profile around the z axis; leave_out: (band, segment) without a quad."""
+def _revolve(profile: list[tuple[float, float]], count: int, leave_out: Collection[tuple[int, int]] = ()):
+    """Return points and quads of a (radius, height) profile turned around z; leave_out: (band, segment)
+    without one.
+    """
     points = np.concatenate([_ring(radius, height, count) for radius, height in profile])
-    faces = [
+    return points, _quads(len(profile) - 1, count, leave_out)
+
+
+def _quads(bands: int, count: int, leave_out: Collection[tuple[int, int]] = ()) -> list[tuple[int, ...]]:
+    """Return the quads between consecutive closed rings of `count` points, band by band."""
+    return [
         (b * count + i, b * count + (i + 1) % count, (b + 1) * count + (i + 1) % count, (b + 1) * count + i)
-        for b in range(len(profile) - 1)
+        for b in range(bands)
         for i in range(count)
         if (b, i) not in leave_out
     ]
-    return points, faces
 
 
 def _handle(direction: float):
-    """A bar that stands off the wall and meets it at both ends: a 12-sided tube, capped at one end, open at the other."""
+    """Return points and faces of a bar that stands off the wall: a 12-sided tube, capped at one end."""
     wall = FLOOR_RADIUS + (RIM_RADIUS - FLOOR_RADIUS) * HANDLE_HEIGHT / RIM_HEIGHT
     angles = direction + HANDLE_ANGLE * np.array([-1, -1, -0.5, 0, 0.5, 1, 1])
     radii = wall + np.array([0.0, 1, 1, 1, 1, 1, 0]) * (HANDLE_GAP + HANDLE_TUBE)
@@ -120,12 +127,7 @@ def _handle(direction: float):
     points = np.concatenate(
         [
             p + HANDLE_TUBE * (np.cos(turn)[:, None] * up + np.sin(turn)[:, None] * np.cross(t, up))
-            for p, t in zip(path, tangent)
+            for p, t in zip(path, tangent, strict=True)
         ]
     )
-    faces = [
-        (b * SIDES + i, b * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + (i + 1) % SIDES, (b + 1) * SIDES + i)
-        for b in range(len(path) - 1)
-        for i in range(SIDES)
-    ]
-    return points, faces + [tuple(range(SIDES))]
+    return points, [*_quads(len(path) - 1, SIDES), tuple(range(SIDES))]

@@ -1,47 +1,46 @@
-"""Offset solidification: the boundary of everything within ε of a triangle soup, without the pockets that it encloses.
+"""Offset solidification: the boundary of all that is within ε of a triangle soup, without enclosed pockets.
 
-Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets dropped, and
-certification by measurement. The result depends on the input's points, ε and the spacing alone: rebuilds are bit-identical.
+Paper §4 and suppl. B: exact weld, exact unsigned distance field, marching cubes at iso ε, enclosed pockets
+dropped, and certification by measurement. The result depends on the input's points, ε and the spacing alone:
+rebuilds are bit-identical.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
-from paper_artifact.certify.certificate import Certificate, certify
+from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.ingest.distance import distance_grid
 from paper_artifact.mesh import Mesh, checked_mesh, weld
 
 OFFSET = 0.008  # ε / diagonal
 CELLS = 2.0  # grid cells per ε
-# Field values closer to ε than this fraction of a cell are moved away, so that no vertex of the surface falls on a grid point.
+# Field values closer to ε than this fraction of a cell are moved away: no vertex then falls on a grid point.
 NUDGE = 1e-3
 FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points may have
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """shell: the closed surface, vertices rounded to float32 and welded, wound outwards; raw and certificate: what was measured
-    of the input and of the shell; offset ε and cell: world units; grid: its shape; pockets: enclosed cavities that were filled.
-    """
+    """A solidified mesh."""
 
-    shell: Mesh
-    raw: Certificate
-    certificate: Certificate
-    offset: float
-    cell: float
-    grid: tuple[int, int, int]
-    pockets: int
+    shell: Mesh  # the closed surface, vertices rounded to float32 and welded, wound outwards
+    raw: Certificate  # of the input
+    certificate: Certificate  # of the shell
+    offset: float  # ε, world units
+    cell: float  # spacing of the grid, world units
+    grid: tuple[int, int, int]  # points per axis
+    pockets: int  # enclosed cavities that were filled
 
     @property
     def sha256(self) -> str:
-        """Hash of the shell's float32 vertices and int32 faces: equal for equal rebuilds."""
+        """The sha256 (hex) of the shell's float32 vertices and int32 faces: equal for equal rebuilds."""
         digest = hashlib.sha256(self.shell.vertices.astype("<f4").tobytes())
         digest.update(self.shell.faces.astype("<i4").tobytes())
         return digest.hexdigest()
@@ -61,43 +60,49 @@ class Solid:
 
 
 def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
-    """Return the Solid of a raw Mesh. offset: ε divided by the bounding-box diagonal; cells: grid cells per ε, at least 1.
+    """Return the Solid of a raw Mesh.
 
-    Features and gaps below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too
-    large, or a mesh so far from the origin that float32 cannot hold its shell.
+    offset: ε divided by the bounding-box diagonal; cells: grid cells per ε, at least 1. Features and gaps
+    below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too large,
+    or a mesh so far from the origin that float32 cannot hold its shell.
     """
     if not 0 < offset <= 0.25:
         raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {offset}")
     if not (np.isfinite(cells) and cells >= 1):
         raise InputError(f"there must be at least one grid cell per offset, got {cells}")
-    raw = certify(mesh.vertices, mesh.faces, mesh.name)
+    raw = certify_mesh(mesh)
     vertices, faces = weld(mesh.vertices, mesh.faces)
     epsilon = offset * mesh.diagonal
     cell = epsilon / cells
     farthest = float(np.abs(vertices).max())
     if farthest * np.finfo(np.float32).eps > FAR * cell:
         raise InputError(
-            f"{mesh.name} lies too far from the origin (coordinates up to {farthest:.3g}, cells of {cell:.3g}) for the shell's float32 "
-            "points; move it towards the origin first"
+            f"{mesh.name} lies too far from the origin (coordinates to {farthest:.3g}, cells of {cell:.3g}) "
+            "for the shell's float32 points; move it towards the origin first"
         )
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
     points, triangles, _, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
     rounded = (points.astype(np.float64) * cell + field.origin).astype(np.float32).astype(np.float64)
     shell = checked_mesh(rounded, triangles, f"{mesh.name} shell")
-    certificate = certify(shell.vertices, shell.faces, shell.name)
-    shell = Mesh(shell.vertices, shell.faces, shell.name, certificate.betti if certificate.passed else None)
+    certificate = certify_mesh(shell)
     return Solid(
-        shell, raw, certificate, float(epsilon), float(cell), tuple(int(n) for n in values.shape), pockets
+        shell=replace(shell, betti=certificate.betti if certificate.passed else None),
+        raw=raw,
+        certificate=certificate,
+        offset=float(epsilon),
+        cell=float(cell),
+        grid=tuple(int(n) for n in values.shape),
+        pockets=pockets,
     )
 
 
 def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.ndarray, int]:
     """Return the field with every enclosed pocket filled, and their number.
 
-    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of outside points that
-    does not reach the border, and gets values below iso. Values within `nudge` of iso move to that distance, on their side of
-    it.
+    values (nx,ny,nz) float32 ≤ iso inside, > iso at the grid's border; a pocket is a 6-connected set of
+    outside points that does not reach the border, and gets values below iso. Values within `nudge` of iso
+    move to that distance, on their side of it.
     """
     outside = values > iso
     labels, count = ndimage.label(outside)

@@ -24,11 +24,12 @@ def check_format(path: Path | str) -> None:
 
 
 def write_shell(path: Path | str, shell: Mesh) -> Certificate:
-    """Write a Mesh whose vertices are float32 values as PLY (binary), OBJ or STL (binary), by the path's ending, read it back,
-    certify.
+    """Write a Mesh whose vertices are float32 values, by the path's ending; return the certificate of what
+    was written.
 
-    The file appears only when it reads back to the same points and passes the certificate, which is returned. Raises InputError
-    otherwise, for another ending, and when the folder is not writable.
+    The formats are binary PLY, OBJ and binary STL. The file appears only when it reads back to the same
+    points and passes the certificate. Raises InputError otherwise, for another ending, and when the folder is
+    not writable.
     """
     check_format(path)
     with atomic_path(path) as temporary:
@@ -44,8 +45,8 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
             raise InputError(f"{path} would not hold the shell's points exactly; write PLY instead")
         if not certificate.passed:
             raise InputError(
-                f"the shell fails its certificate ({'; '.join(certificate.reasons)}), so {path} was not written; "
-                "try another offset or more cells per offset"
+                f"the shell fails its certificate ({'; '.join(certificate.reasons)}), so {path} was not "
+                "written; try another offset or more cells per offset"
             )
     return certificate
 

@@ -1,4 +1,4 @@
-"""What is drawn, as arrays: the soup's sizes in one place, and the record of arrays that values and gradients share."""
+"""What is drawn, as arrays: the soup's sizes, and the record of arrays that values and gradients share."""
 
 from __future__ import annotations
 

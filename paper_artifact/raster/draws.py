@@ -1,10 +1,12 @@
-"""Per-fragment uniform draws for stochastic opacity masking: a hash of named counters, never a generator's state.
+"""Per-fragment uniform draws for stochastic opacity masking: a hash of named counters, no generator's state.
 
-A draw is a pure function of (seed, step, view, pixel, triangle), all non-negative integers: the order in which
-fragments are visited, and the number of threads, cannot change it. The finalizer is the 32-bit "lowbias32" of
-C. Wellons, "Prospecting for hash functions" (2018); numba, numpy and torch versions give the same bits.
+A draw is a pure function of (seed, step, view, pixel, triangle), all non-negative integers: the order in
+which fragments are visited, and the number of threads, cannot change it. The finalizer is the 32-bit
+"lowbias32" of C. Wellons, "Prospecting for hash functions" (2018); numba, numpy and torch versions give the
+same bits.
 
-pixel is the row-major index row·width + column; triangle the index into the soup; view the index of the scene's view.
+pixel is the row-major index row·width + column; triangle the index into the soup; view the index of the
+scene's view.
 """
 
 from __future__ import annotations

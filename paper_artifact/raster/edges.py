@@ -93,7 +93,9 @@ def _edge_side(
 
 
 @numba.njit(forceinline=True, error_model="numpy")
-def _pair(triangle, depth, coefficients, rectangles, moments, p, column0, row0, q, column1, row1, gx, gy, sx, sy):
+def _pair(
+    triangle, depth, coefficients, rectangles, moments, p, column0, row0, q, column1, row1, gx, gy, sx, sy
+):
     # Two neighbouring pixels p and q that show different triangles (or, one of them, nothing): both their views of the pair.
     tp, tq, zp, zq = triangle[p], triangle[q], depth[p], depth[q]
     if tp >= 0:
@@ -177,7 +179,23 @@ def edge_moments(surface, planes, colour, gradient, moments):
                         right1 += 2 * gx * x
                         right2 += 2 * gx * x * x
                 else:
-                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, p + 1, column + 1, row, gx, 0.0, sx, sy)
+                    _pair(
+                        triangle,
+                        depth,
+                        coefficients,
+                        rectangles,
+                        moments,
+                        p,
+                        column,
+                        row,
+                        p + 1,
+                        column + 1,
+                        row,
+                        gx,
+                        0.0,
+                        sx,
+                        sy,
+                    )
             if downward[column] != 0:
                 gy = downward[column] / sy
                 q = p + width
@@ -186,7 +204,23 @@ def edge_moments(surface, planes, colour, gradient, moments):
                         down0 += 2 * gy
                         down1 += 2 * gy * (column - rectangles[tp, 2])
                 else:
-                    _pair(triangle, depth, coefficients, rectangles, moments, p, column, row, q, column, row + 1, 0.0, gy, sx, sy)
+                    _pair(
+                        triangle,
+                        depth,
+                        coefficients,
+                        rectangles,
+                        moments,
+                        p,
+                        column,
+                        row,
+                        q,
+                        column,
+                        row + 1,
+                        0.0,
+                        gy,
+                        sx,
+                        sy,
+                    )
         if current >= 0:
             _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
 

@@ -31,8 +31,8 @@ class PhotometricStep:
     ) -> tuple[float, SoupArrays]:
         """Return the loss of the batch and its gradients, summed over the views in their order.
 
-        One camera, target (`photometric.make_target`) and draw key (`draws.view_key`) per view. The opacity gradient
-        is DiffSoup's masking gradient, the vertices' is the edge gradient.
+        One camera, target (`photometric.make_target`) and draw key (`draws.view_key`) per view. The opacity
+        gradient is DiffSoup's masking gradient, the vertices' is the edge gradient.
         """
         count = len(keys)
         gradients = self._zeroed(count, soup)

@@ -1,10 +1,11 @@
 """The rasterizer's twin in plain torch: shading, edge gradient, opacity gradient, photometric loss.
 
-Same semantics as the numba path, in other terms: whatever is ordinary autograd is left to autograd, and the whole batch is
-handled at once. In float64 on the CPU it is the reference of the tests; in float32 it is the path on CUDA (sums by index are
-not bit-reproducible there). Frames and `Raster` as in `twin_visibility`. The three backward paths are DiffSoup's:
-colour → features and MLP; error → opacity; colour edges → vertices (EdgeGrad: Pidhorskyi et al., "Rasterized Edge Gradients:
-Handling Discontinuities Differentiably", ECCV 2024).
+Same semantics as the numba path, in other terms: whatever is ordinary autograd is left to autograd, and the
+whole batch is handled at once. In float64 on the CPU it is the reference of the tests; in float32 it is the
+path on CUDA (sums by index are not bit-reproducible there). Frames and `Raster` as in `twin_visibility`. The
+three backward paths are DiffSoup's: colour → features and MLP; error → opacity; colour edges → vertices
+(EdgeGrad: Pidhorskyi et al., "Rasterized Edge Gradients: Handling Discontinuities Differentiably", ECCV
+2024).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from torch.nn import functional
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster.twin_visibility import Raster, corner_weights, pixel_centres, rasterize, to_clip
+from paper_artifact.ssim import WINDOW, gaussian_window, similarity
 
 __all__ = [
     "Raster",
@@ -26,14 +28,19 @@ __all__ = [
     "view_directions",
 ]
 
+_WINDOW, _SIGMA = 11, 1.5  # SSIM's Gaussian window: taps and standard deviation, pixels
+_C1, _C2 = 0.01**2, 0.03**2  # SSIM's stabilisers at data range 1
+_FLOOR = 1e-5  # of a chance that the opacity gradient divides by
+
 MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def view_directions(world_to_clip: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Return unit world-space directions (B,H,W,3) from whatever is seen at each pixel centre towards the camera.
+    """Return unit world-space directions (B,H,W,3) from what is seen at each pixel centre to the camera.
 
-    world_to_clip (B,4,4) must be perspective with w the depth in front of the camera. Along a viewing ray away from the
-    camera, (clip x, clip y, w) grows in proportion to (x, y, 1), so the direction needs rows x, y, w only: no near or far.
+    world_to_clip (B,4,4) must be perspective with w the depth in front of the camera. Along a viewing ray
+    away from the camera, (clip x, clip y, w) grows in proportion to (x, y, 1), so the direction needs rows x,
+    y, w only: no near or far.
     """
     x, y = pixel_centres(
         torch.arange(height * width, device=world_to_clip.device), height, width, world_to_clip.dtype
@@ -73,12 +80,12 @@ def spherical_harmonics(direction: torch.Tensor) -> torch.Tensor:
 def shade(
     features: torch.Tensor, mlp: MLP, raster: Raster, world_to_clip: torch.Tensor, background: torch.Tensor
 ) -> torch.Tensor:
-    """Return the planar colour image (B,3,H,W) of a raster; gradients flow to features and MLP by ordinary autograd.
+    """Return the colour image (B,3,H,W) of a raster, differentiable in features and MLP by ordinary autograd.
 
-    features (T,3,7) in [0, 1] per corner (after the sigmoid): base colour, blend r, three latent; mlp = (w1 (16,16), c1 (16),
-    w2 (16,16), c2 (16), w3 (3,16), c3 (3)), layers x @ w.T + c with ReLU between and a sigmoid at the end; background (3,).
-    Input of the MLP: the 7 interpolated features, then the 9 spherical harmonics of the direction towards the camera;
-    colour = (1 - r)·base + r·output.
+    features (T,3,7) in [0, 1] per corner (after the sigmoid): base colour, blend r, three latent; mlp = (w1
+    (16,16), c1 (16), w2 (16,16), c2 (16), w3 (3,16), c3 (3)), layers x @ w.T + c with ReLU between and a
+    sigmoid at the end; background (3,). Input of the MLP: the 7 interpolated features, then the 9 spherical
+    harmonics of the direction towards the camera; colour = (1 - r)·base + r·output.
     """
     views, height, width = raster.triangle.shape
     flat = raster.triangle.reshape(-1)
@@ -99,11 +106,12 @@ def shade(
 def opacity_gradient(
     opacity: torch.Tensor, colour: torch.Tensor, target: torch.Tensor, raster: Raster
 ) -> torch.Tensor:
-    """Return a scalar that is exactly 0 and whose gradient with respect to opacity (T,3) is DiffSoup's opacity path.
+    """Return a scalar that is exactly 0 and whose gradient in opacity (T,3) is DiffSoup's opacity path.
 
-    colour and target are (B,3,H,W), both taken as constants; opacity (T,3) in [0, 1] must be the one rasterized. With
-    e = Σ_c |colour - target| at the pixel, every fragment at or in front of the visible depth contributes e / max(alpha, 1e-5)
-    if it is the visible one, else -e / max(1 - alpha, 1e-5), over B·H·W·3, times its barycentrics to the corners.
+    colour and target are (B,3,H,W), both taken as constants; opacity (T,3) in [0, 1] must be the one
+    rasterized. With e = Σ_c |colour - target| at the pixel, every fragment at or in front of the visible
+    depth contributes e / max(alpha, 1e-5) if it is the visible one, else -e / max(1 - alpha, 1e-5), over
+    B·H·W·3, times its barycentrics to the corners.
     """
     with torch.no_grad():
         views, height, width = raster.triangle.shape
@@ -116,7 +124,7 @@ def opacity_gradient(
         slot, winner, triangle = slot[reached], winner[reached], raster.fragment_triangle[reached]
         alpha = raster.fragment_alpha[reached]
         factor = torch.where(
-            winner == triangle + 1, 1 / alpha.clamp(min=1e-5), -1 / (1 - alpha).clamp(min=1e-5)
+            winner == triangle + 1, 1 / alpha.clamp(min=_FLOOR), -1 / (1 - alpha).clamp(min=_FLOOR)
         )
         factor = factor * error[slot] / (views * height * width * 3)
         b0, b1 = raster.fragment_b0[reached], raster.fragment_b1[reached]
@@ -129,17 +137,19 @@ def opacity_gradient(
 def edge_gradient(
     colour: torch.Tensor, vertices: torch.Tensor, raster: Raster, world_to_clip: torch.Tensor
 ) -> torch.Tensor:
-    """Return colour (B,3,H,W) unchanged; its backward adds the edge gradient of the vertices (T,3,3, world space).
+    """Return colour (B,3,H,W) unchanged; its backward adds the edge gradient of vertices (T,3,3), world.
 
-    The gradient with respect to colour passes unchanged. For every covered pixel p and each of its four neighbours q, with
-    a = Σ_c ½(g_p + g_q)(c_p - c_q) and d the pixel step in NDC^-1 (±W/2 or ±H/2), a·d pushes p's triangle at the midpoint (one
-    triangle on both; or p's triangle goes on under q and q's is farther or background), at the crossing of the triangle's
-    border (q outside it, and farther or background), or, where two triangles pass through each other between p and q,
-    along p's normal as far as that moves the crossing line. Summed over the views.
+    The gradient with respect to colour passes unchanged. For every covered pixel p and each of its four
+    neighbours q, with a = Σ_c ½(g_p + g_q)(c_p - c_q) and d the pixel step in NDC^-1 (±W/2 or ±H/2), a·d
+    pushes p's triangle at the midpoint (one triangle on both; or p's triangle goes on under q and q's is
+    farther or background), at the crossing of the triangle's border (q outside it, and farther or
+    background), or, where two triangles pass through each other between p and q, along p's normal as far as
+    that moves the crossing line. Summed over the views.
 
-    Two habits of DiffSoup are kept as they are: a pair inside one triangle is met from both its pixels and so counts twice, and a
-    crossing line that is slanted in the image gets its z part from row and column neighbours both. Borders and opacity edges
-    are met once and agree with the derivative of the exact integral (tests/test_twin.py).
+    Two habits of DiffSoup are kept as they are: a pair inside one triangle is met from both its pixels and so
+    counts twice, and a crossing line that is slanted in the image gets its z part from row and column
+    neighbours both. Borders and opacity edges are met once and agree with the derivative of the exact
+    integral (tests/test_twin.py).
     """
     return _EdgeGradient.apply(colour, vertices, raster, world_to_clip)
 
@@ -167,9 +177,9 @@ class _EdgeGradient(torch.autograd.Function):
 def _pairs(
     colour: torch.Tensor, grad_colour: torch.Tensor, triangle: torch.Tensor
 ) -> tuple[torch.Tensor, ...]:
-    """Return (slot of p, slot of q, step x, step y, adjoint), each (N,), for covered pixels p and neighbours q with a ≠ 0.
+    """Return (slot of p, slot of q, step x, step y, adjoint a), each (N,), for pixels p and neighbours q.
 
-    A slot is view·H·W + row·W + column.
+    Only pairs with p covered and a ≠ 0. A slot is view·H·W + row·W + column.
     """
     _, height, width = triangle.shape
     slot = torch.nonzero(triangle.reshape(-1))[:, 0]
@@ -187,9 +197,10 @@ def _pairs(
 
 
 def _crossing_motion(own: torch.Tensor, other: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
-    """Return (N,3) d(crossing coordinate)/d(NDC point of own) for two planes crossing, in the plane of `axis` (0 x, 1 y) and z.
+    """Return (N,3) d(crossing coordinate)/d(NDC point of own) for two planes crossing.
 
-    own and other (N,3,4) are clip corners; where the planes are (nearly) parallel there, the motion is 0.
+    In the plane of `axis` (0 x, 1 y) and z. own and other (N,3,4) are clip corners; where the planes are
+    (nearly) parallel there, the motion is 0.
     """
 
     def normal(corners: torch.Tensor) -> torch.Tensor:
@@ -212,10 +223,10 @@ def _crossing_motion(own: torch.Tensor, other: torch.Tensor, axis: torch.Tensor)
 def _border_crossing(
     own: torch.Tensor, weights_p: torch.Tensor, weights_q: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return (weights (N,3), fraction (N,)) where the segment from p (inside) to q (outside) first leaves the triangle.
+    """Return (weights (N,3), fraction (N,)) where the segment from p (inside) to q first leaves the triangle.
 
-    weights_p, weights_q (N,3) are λ_i / w_i, which are linear along the segment; the corner opposite the crossed edge gets
-    exactly 0, so only the edge's own two corners move.
+    weights_p, weights_q (N,3) are λ_i / w_i, which are linear along the segment; the corner opposite the
+    crossed edge gets exactly 0, so only the edge's own two corners move.
     """
     inside = weights_p.clamp(min=0)
     fraction = torch.where(weights_q < 0, inside / (inside - weights_q), torch.inf)
@@ -280,27 +291,19 @@ def _vertex_gradient(
 def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the scalar .8·mean|target - colour| + .2·½(1 - SSIM) of images (B,3,H,W) in [0, 1].
 
-    SSIM after Wang et al. 2004: 11×11 Gaussian window with σ = 1.5, data range 1, K = (.01, .03), only windows that lie in the
-    image, mean over windows, channels and views. Raises InputError when the shapes differ or the image is below 11×11.
+    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when the
+    shapes differ or a side of the images is shorter than SSIM's window.
     """
-    if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < 11:
+    if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < WINDOW:
         raise InputError(
-            f"colour and target must be (B,3,H,W) of equal shape with H, W >= 11, got {tuple(colour.shape)} "
-            f"and {tuple(target.shape)}"
+            f"colour and target must be (B,3,H,W) of equal shape with H, W >= {WINDOW}, got "
+            f"{tuple(colour.shape)} and {tuple(target.shape)}"
         )
-    offsets = torch.arange(11, dtype=colour.dtype, device=colour.device) - 5
-    window = torch.exp(-(offsets**2) / (2 * 1.5**2))
-    window = window / window.sum()
+    window = torch.tensor(gaussian_window(), dtype=colour.dtype, device=colour.device)
 
     def blur(image: torch.Tensor) -> torch.Tensor:
-        plane = functional.conv2d(image.reshape(-1, 1, *image.shape[2:]), window.reshape(1, 1, 11, 1))
-        return functional.conv2d(plane, window.reshape(1, 1, 1, 11))
+        plane = functional.conv2d(image.reshape(-1, 1, *image.shape[2:]), window.reshape(1, 1, WINDOW, 1))
+        return functional.conv2d(plane, window.reshape(1, 1, 1, WINDOW))
 
-    mean_c, mean_t = blur(colour), blur(target)
-    variance_c = blur(colour * colour) - mean_c**2
-    variance_t = blur(target * target) - mean_t**2
-    covariance = blur(colour * target) - mean_c * mean_t
-    c1, c2 = 0.01**2, 0.03**2
-    luminance = (2 * mean_c * mean_t + c1) / (mean_c**2 + mean_t**2 + c1)
-    structure = (2 * covariance + c2) / (variance_c + variance_t + c2)
-    return 0.8 * (target - colour).abs().mean() + 0.2 * (1 - (luminance * structure).mean()) / 2
+    dissimilarity = 1 - similarity(colour, target, blur).mean()
+    return 0.8 * (target - colour).abs().mean() + 0.2 * dissimilarity / 2

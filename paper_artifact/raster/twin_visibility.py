@@ -1,11 +1,12 @@
 """Fragments and depth test in plain torch: the visibility half of the rasterizer's twin.
 
-Same semantics as the numba kernels (the forward raster of DiffSoup, the trainer that the paper builds on), written from the facts
-in different terms, so that each checks the other. Dtype and device follow the inputs: float64 on the CPU in the tests,
-float32 on CUDA for training there.
+Same semantics as the numba kernels (the forward raster of DiffSoup, the trainer that the paper builds on),
+written from the facts in different terms, so that each checks the other. Dtype and device follow the inputs:
+float64 on the CPU in the tests, float32 on CUDA for training there.
 
-Frames: clip = world_to_clip @ (x, y, z, 1) with w the depth in front of the camera; NDC = xyz / w, y down; the centre of
-pixel (row r, column c) is at NDC ((2c+1)/W - 1, (2r+1)/H - 1). `pixel` is the row-major index r·W + c.
+Frames: clip = world_to_clip @ (x, y, z, 1) with w the depth in front of the camera; NDC = xyz / w, y down;
+the centre of pixel (row r, column c) is at NDC ((2c+1)/W - 1, (2r+1)/H - 1). `pixel` is the row-major index
+r·W + c.
 """
 
 from __future__ import annotations
@@ -19,25 +20,22 @@ from paper_artifact.raster.draws import draw_torch
 
 
 class Raster(NamedTuple):
-    """Visible surface of B views, and the flat list of F fragments it was chosen from (no gradient flows through it).
+    """Visible surface of B views, and the F fragments it was chosen from; no gradient flows through it.
 
-    triangle (B,H,W) int64: 0 = background, else index + 1. b0, b1 (B,H,W): perspective-correct barycentrics of corners 0
-    and 1 (corner 2 has 1 - b0 - b1), depth (B,H,W): NDC z in [-1, 1]; all three are 0 on background.
-    fragment_view, fragment_pixel, fragment_triangle (F,) int64; fragment_b0, fragment_b1, fragment_depth, fragment_alpha
-    (F,): every pixel centre that a triangle covers within the depth range, before opacity masking.
+    Fragments are every pixel centre that a triangle covers within the depth range, before opacity masking.
     """
 
-    triangle: torch.Tensor
-    b0: torch.Tensor
-    b1: torch.Tensor
-    depth: torch.Tensor
-    fragment_view: torch.Tensor
-    fragment_pixel: torch.Tensor
-    fragment_triangle: torch.Tensor
-    fragment_b0: torch.Tensor
-    fragment_b1: torch.Tensor
-    fragment_depth: torch.Tensor
-    fragment_alpha: torch.Tensor
+    triangle: torch.Tensor  # (B,H,W) int64: 0 = background, else index + 1
+    b0: torch.Tensor  # (B,H,W) perspective-correct barycentric of corner 0; 0 on background
+    b1: torch.Tensor  # (B,H,W) of corner 1; corner 2 has 1 - b0 - b1
+    depth: torch.Tensor  # (B,H,W) NDC z in [-1,1]; 0 on background
+    fragment_view: torch.Tensor  # (F,) int64
+    fragment_pixel: torch.Tensor  # (F,) int64, row-major index
+    fragment_triangle: torch.Tensor  # (F,) int64
+    fragment_b0: torch.Tensor  # (F,)
+    fragment_b1: torch.Tensor  # (F,)
+    fragment_depth: torch.Tensor  # (F,) NDC z
+    fragment_alpha: torch.Tensor  # (F,) opacity in [0,1] at the pixel
 
 
 def to_clip(vertices: torch.Tensor, world_to_clip: torch.Tensor) -> torch.Tensor:
@@ -49,7 +47,7 @@ def to_clip(vertices: torch.Tensor, world_to_clip: torch.Tensor) -> torch.Tensor
 def pixel_centres(
     pixel: torch.Tensor, height: int, width: int, dtype: torch.dtype
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the NDC x and y (same shape as `pixel`) of row-major pixel indices in an image of height × width."""
+    """Return NDC x and y (shaped as `pixel`) of row-major pixel indices in an image of height × width."""
     column, row = pixel % width, pixel // width
     return (2 * column + 1).to(dtype) / width - 1, (2 * row + 1).to(dtype) / height - 1
 
@@ -57,13 +55,16 @@ def pixel_centres(
 def corner_weights(
     corners: torch.Tensor, x: torch.Tensor, y: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return (weights (F,3), inside (F,) bool) of the NDC point (x, y) in the triangle with clip corners (F,3,4).
+    """Return (weights (F,3), inside (F,) bool) of NDC points (x, y) in triangles of clip corners.
 
-    weights_i = λ_i / w_i, λ the affine screen-space barycentrics. From it everything else follows: Σ weights = 1/w,
-    perspective-correct barycentrics b = weights / Σ weights, and NDC z = Σ weights_i · clip z_i (as Σ weights_i w_i = 1).
-    inside includes the border; triangles without area on the screen contain nothing (their weights are 0).
-    Homogeneous edge functions as in Olano & Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997),
-    evaluated relative to the point, which keeps small triangles accurate in float32.
+    x, y (F,), corners (F,3,4).
+
+    weights_i = λ_i / w_i, λ the affine screen-space barycentrics. From it everything else follows: Σ weights
+    = 1/w, perspective-correct barycentrics b = weights / Σ weights, and NDC z = Σ weights_i · clip z_i (as Σ
+    weights_i w_i = 1). inside includes the border; triangles without area on the screen contain nothing
+    (their weights are 0). Homogeneous edge functions as in Olano & Greer, "Triangle scan conversion using 2D
+    homogeneous coordinates" (1997), evaluated relative to the point, which keeps small triangles accurate in
+    float32.
     """
     w = corners[..., 3]
     dx, dy = corners[..., 0] - x[..., None] * w, corners[..., 1] - y[..., None] * w
@@ -78,9 +79,10 @@ def corner_weights(
 def _candidates(
     clip: torch.Tensor, height: int, width: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return (view, triangle, pixel), each (N,) int64: all pixels in the bounding boxes of triangles worth testing.
+    """Return (view, triangle, pixel), each (N,) int64: the pixels in boxes of triangles worth testing.
 
-    Skipped: triangles with a corner at w <= 0 (or not finite) and triangles with all corners beyond one clip plane.
+    Skipped: triangles with a corner at w <= 0 (or not finite) and triangles with all corners beyond one clip
+    plane.
     """
     views, triangles = clip.shape[:2]
     w = clip[..., 3]
@@ -104,7 +106,7 @@ def _candidates(
 def _thresholds(
     keys: list[int] | None, view: torch.Tensor, pixel: torch.Tensor, triangle: torch.Tensor
 ) -> torch.Tensor:
-    """Return each fragment's opacity threshold (F,) float64: its uniform draw, or .5 everywhere when keys is None."""
+    """Return each fragment's opacity threshold (F,) float64: its uniform draw, or .5 when keys is None."""
     thresholds = torch.full(view.shape, 0.5, dtype=torch.float64, device=view.device)
     for index, key in enumerate(keys or []):
         mine = view == index
@@ -113,7 +115,7 @@ def _thresholds(
 
 
 def _winners(slot: torch.Tensor, depth: torch.Tensor, triangle: torch.Tensor, slots: int) -> torch.Tensor:
-    """Return the indices of the fragments that win their slot (view, pixel): smallest depth, then smallest triangle."""
+    """Return the indices of the fragments that win their slot: smallest depth, then smallest triangle."""
     nearest = torch.full((slots,), torch.inf, dtype=depth.dtype, device=depth.device)
     nearest = nearest.scatter_reduce(0, slot, depth, "amin")
     tied = torch.nonzero(depth == nearest[slot])[:, 0]
@@ -133,15 +135,16 @@ def rasterize(
 ) -> Raster:
     """Return the `Raster` of a soup in B views of height × width pixels.
 
-    vertices (T,3,3) world space, every triangle owning its corners; opacity (T,3) in [0, 1] per corner; world_to_clip
-    (B,4,4); keys: one 32-bit key per view (`draws.view_key`), or None for the fixed threshold .5 of evaluation.
-    A fragment survives iff its alpha (perspective-correct interpolation of the corner opacities) is at least its threshold;
-    the nearest survivor takes the pixel, ties go to the smallest triangle index.
-    Raises InputError when shapes, dtypes or the number of keys do not fit together.
+    vertices (T,3,3) world space, every triangle owning its corners; opacity (T,3) in [0, 1] per corner;
+    world_to_clip (B,4,4); keys: one 32-bit key per view (`draws.view_key`), or None for the fixed threshold
+    .5 of evaluation. A fragment survives iff its alpha (perspective-correct interpolation of the corner
+    opacities) is at least its threshold; the nearest survivor takes the pixel, ties go to the smallest
+    triangle index. Raises InputError when shapes, dtypes or the number of keys do not fit together.
     """
     if vertices.dim() != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
         raise InputError(
-            f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and {tuple(opacity.shape)}"
+            f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and "
+            f"{tuple(opacity.shape)}"
         )
     if world_to_clip.dim() != 3 or world_to_clip.shape[1:] != (4, 4) or world_to_clip.dtype != vertices.dtype:
         raise InputError(

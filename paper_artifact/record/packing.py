@@ -31,7 +31,7 @@ def unpack(value: Any) -> Any:
         return [unpack(value["#same"]) for _ in range(value["#count"])]
     if "#table" in value:
         columns = {key: unpack(column) for key, column in value["#table"].items()}
-        return [dict(zip(columns, cells)) for cells in zip(*columns.values(), strict=True)]
+        return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
     if "#lists" in value:
         return [list(cells) for cells in zip(*(unpack(column) for column in value["#lists"]), strict=True)]
     if "#mixed" in value:

@@ -149,7 +149,7 @@ def read_record(path: Path | str) -> dict:
         ) from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise InputError(
-            f"{path} is no run record of this artifact (its schema is not {SCHEMA}); move it out of the folder"
+            f"{path} is no run record of this artifact (schema {SCHEMA}); move it out of the folder"
         )
     if record.get("version") != VERSION:
         raise InputError(
@@ -215,9 +215,7 @@ def _thinned(losses: Mapping[str, Any]) -> dict:
     if len(lengths) > 1:
         raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
     length = lengths.pop() if lengths else 0
-    kept = (
-        np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int)) if length else []
-    )
+    kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int))
     return {
         name: [int(x) if name == "step" else _short(x) for x in values[kept]]
         for name, values in columns.items()

@@ -1,170 +1,107 @@
-"""The generality wave (Table 2, Table S7, Fig. S2): external meshes in two observable-class groups, from whatever runs are
-recorded.
+"""Notebook 08: the generality wave (Table 2): external meshes in two observable-class groups, and what counts
+are held against.
 
-A tail is the bottleneck distance to the target in the shape's discriminating dimension, mean of the last three dumps, 20,000
-samples, radius / bounding-box diagonal of the ground truth.
+Per-seed tails, verdicts and trajectories are those of every study (`report.kit.tables`).
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import pandas as pd
 
-from paper_artifact.catalogue import shape_row
+from paper_artifact.catalogue import shape_row, shapes_of
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.diagram import significant_counts
-from paper_artifact.evaluate.scores import Target, make_target
-from paper_artifact.evaluate.staircase import longest, measure
-from paper_artifact.report.matrix import papers_tails
-from paper_artifact.report.published import published, published_value
-from paper_artifact.report.runs import Collected
-from paper_artifact.scene.find import surface
-from paper_artifact.study.tables import arm_text, counts_text, published_rows, seeds_text
-from paper_artifact.study.verdict import Verdict, group_statistic, rows_of, verdict
-
-# Pre-registered (App. G): the observable class that the staircase gave each shape.
-GROUPS = {
-    "loop group": ("bob", "rocker-arm", "eight"),
-    "void group": ("spot", "fandisk", "pot", "armadillo", "horse"),
-}
-SHAPES = tuple(shape for members in GROUPS.values() for shape in members)
-ARMS = ("C0", "C1", "C2")
-
-
-def judged(collected: Collected) -> dict[str, Verdict]:
-    """Return the verdict per shape; expected counts are the bundle's bars: what the protocol calls measurable."""
-    return verdict(rows_of(collected.records))
+from paper_artifact.evaluate.staircase import longest
+from paper_artifact.report.kit import frames
+from paper_artifact.report.kit.records import Collected, target_of
+from paper_artifact.report.kit.tables import beside, paper_texts
+from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text
+from paper_artifact.study.verdict import LOSS, group_statistic
 
 
 def generality_table(collected: Collected) -> pd.DataFrame:
-    """Return Table 2: a row per shape, per arm ours (mean ± sd (C0 / this), counts at the end seed by seed) beside the paper's;
-    then a row per group with the mean ± sd of C0 / C1 over its members and how many pass, once all of them are recorded."""
-    found, paper, rows = judged(collected), published("2"), {}
-    printed = paper[paper["quantity"] == "tail_bottleneck"].set_index(["shape", "condition"])
-    groups = paper[paper["quantity"] == "ratio_C0_over_C1"].set_index("shape")
-    for group, members in GROUPS.items():
-        for shape in members:
-            row = {}
-            for condition in ARMS:
-                arm = found[shape].arms.get(condition) if shape in found else None
-                shown = condition != "C0"
-                row[condition, "ours"] = (
-                    "not recorded"
-                    if arm is None
-                    else f"{arm_text(arm.mean, arm.sd, arm.ratio if shown else None)} [{counts_text(arm)}]"
-                )
-                mean, sd = printed.loc[(shape, condition), ["value", "sd"]]
-                ratio = printed.loc[(shape, "C0"), "value"] / mean if shown else None
-                row[condition, "paper"] = arm_text(mean, sd, ratio)
-            row["verdict", "ours"] = found[shape].outcome if shape in found else "not recorded"
-            rows[shape] = row
-        try:
-            mean, sd, passes = group_statistic(found, members)
-            ours = f"{mean:.2f}× ± {sd:.2f}, {passes} of {len(members)} pass"
-        except InputError:
-            ours = "not all recorded"
-        rows[group] = {
-            ("C1", "ours"): ours,
-            ("C1", "paper"): f"{groups['value'][group]:.2f}× ± {groups['sd'][group]:.2f}",
-        }
-    return pd.DataFrame.from_dict(rows, orient="index").fillna("")
-
-
-def no_ramp_text(collected: Collected, shape: str = "bob") -> str:
-    """Return one line: the tails without ramp (C3) and with it (C1) on the shape, ours beside those of the paper's text (§5.1)."""
-    found = judged(collected)
-    arms = found[shape].arms if shape in found else {}
-    ours = [
-        arm_text(arms[name].mean, arms[name].sd, None) if name in arms else "not recorded"
-        for name in ("C3", "C1")
+    """Return Table 2: a row per shape, per condition ours (mean ± sd (C0 / this), counts at the end seed
+    by seed) beside the paper's, and our verdict; then a row per group with the mean ± sd of C0 / C1 over
+    its members and how many pass, once all of them are recorded."""
+    arms = frames.arms(collected).set_index(frames.ARM)
+    table = beside(arms.apply(_cell, axis=1), paper_texts(), across="condition")
+    judged = frames.verdicts(collected)
+    table["verdict", "ours"] = [
+        judged[shape].outcome if shape in judged else NOT_RECORDED for shape in table.index
     ]
-    theirs = [
-        published_value(table, shape=shape, condition=name)
-        for table, name in (("ablations", "C3"), ("2", "C1"))
-    ]
-    paper = [arm_text(*each, None) for each in theirs]
-    return (
-        f"no ramp (C3) on {shape}: ours {ours[0]} against C1 {ours[1]}; paper {paper[0]} against {paper[1]}"
-    )
+    parts = []
+    for group in dict.fromkeys(map(_group, table.index)):
+        parts.append(table[[_group(shape) == group for shape in table.index]])
+        if len(shapes_of(group)) > 1:
+            parts.append(_group_row(group, judged))
+    return blank(pd.concat(parts))
 
 
-def verdict_lines(collected: Collected) -> pd.DataFrame:
-    """Return per shape our verdict with its reason, that of the paper's per-seed tails (Table S7) by the same rule, Chamfer
-    C1 / C0 and C2 / C0 beside the ratios that the paper's text gives, and C1's seeds with more or fewer bars than the bundle."""
-    theirs, rows = verdict(published_rows(papers_tails())), {}
-    printed = published("chamfer")
-    printed = printed[printed["quantity"] == "chamfer_ratio_to_C0"].set_index(["shape", "condition"])["value"]
-    for shape, each in judged(collected).items():
-        row = {
-            "verdict": each.outcome,
-            "paper's tails give": theirs[shape].outcome if shape in theirs else "",
-        }
-        for condition in ("C1", "C2"):
-            known = (
-                {"C0", condition} <= set(each.arms)
-                and each.arms["C0"].chamfer
-                and each.arms[condition].chamfer
-            )
-            ours = f"{each.arms[condition].chamfer / each.arms['C0'].chamfer:.2f}" if known else ""
-            paper = f" (paper {printed[shape, condition]:g})" if (shape, condition) in printed.index else ""
-            row[f"Chamfer {condition} / C0"] = ours + paper
-        row |= {
-            "phantoms in C1, seeds": seeds_text(each.phantoms.get("C1")),
-            "lost in C1, seeds": seeds_text(each.missing.get("C1")),
-        }
-        rows[shape] = row | {"reason": each.reason}
-    return pd.DataFrame.from_dict(rows, orient="index")
+def _cell(arm: pd.Series) -> str:
+    if not arm["seeds"]:
+        return NOT_RECORDED
+    return f"{arm_text(arm['mean'], arm['sd'], arm['ratio'])} [{counts_text(arm['counts'])}]"
 
 
-@lru_cache(maxsize=None)
-def expected_count(shape: str) -> int:
-    """Return the bars of the shape's bundle in the discriminating dimension: what the clean surface shows at the density of the
-    loss."""
-    protocol = shape_row(shape)
-    return significant_counts(*measure(surface(shape), protocol.samples, protocol.bundle_seed))[
-        shape_row(shape).judged
-    ]
+def _group(shape: str) -> str:
+    row = shape_row(shape)
+    return "" if row is None else row.group
+
+
+def _group_row(group: str, judged: dict) -> pd.DataFrame:
+    members, paper = shapes_of(group), frames.paper("ratio_C0_over_C1", "2").set_index("shape")
+    try:
+        mean, sd, passes = group_statistic(judged, members)
+        row = {(LOSS, "ours"): f"{mean:.2f}× ± {sd:.2f}, {passes} of {len(members)} pass"}
+    except InputError:
+        row = {(LOSS, "ours"): "not all recorded"}
+    if group in paper.index:
+        row[LOSS, "paper"] = f"{paper['printed'][group]}× ± {paper['sd'][group]:.2f}"
+    return pd.DataFrame.from_dict({group: row}, orient="index")
 
 
 def count_table(collected: Collected) -> pd.DataFrame:
-    """Return per shape what a count is compared with: bars of the clean surface's bundle at the protocol's M, significant bars
-    of the clean surface at 20,000 samples (the evaluation's own density), and the final counts of every arm, seed by seed; all
-    in the discriminating dimension."""
-    found, rows = judged(collected), {}
-    for shape in SHAPES:
-        arms = found[shape].arms if shape in found else {}
+    """Return per shape what a count is compared with, all in the judged dimension: the expected count (see
+    `study.verdict.rows_of`; of an external mesh the bars of its bundle, at its M), significant bars of the
+    clean surface at 20,000 samples (the evaluation's own density), and the final counts of every arm, seed
+    by seed."""
+    arms = frames.arms(collected).set_index(frames.ARM)
+    counts = arms["counts"].map(lambda counts: counts_text(counts) or NOT_RECORDED).unstack("condition")
+    rows = {}
+    for shape, expected in _expected(collected).items():
+        row, target = shape_row(shape), target_of(shape)
         rows[shape] = {
-            "dimension": f"H{shape_row(shape).judged}",
-            "clean surface, bundle": f"{expected_count(shape)} at M = {shape_row(shape).samples}",
-            "clean surface, 20,000": _target(shape).counts[shape_row(shape).judged],
-        } | {name: counts_text(arms[name]) if name in arms else "not recorded" for name in ARMS}
-    return pd.DataFrame.from_dict(rows, orient="index")
+            "dimension": f"H{target.dimension}",
+            "clean surface, bundle": f"{expected} at M = {row.samples}",
+            "clean surface, 20,000": target.counts[target.dimension],
+        } | {name: counts[name][shape] for name in frames.conditions(collected)}
+    return blank(pd.DataFrame.from_dict(rows, orient="index"))
 
 
 def margin_table(collected: Collected) -> pd.DataFrame:
-    """Return per shape and arm how far counts are from turning, seed by seed: the lifetime, over the floor of the same 20,000
-    samples, of the last bar that the bundle expects (count turns at 1), on the clean surface and at step 2500 of every run."""
+    """Return per shape and arm how far counts are from turning, seed by seed: the lifetime, over the floor
+    of the same 20,000 samples, of the last expected bar (the count turns at 1), on the clean surface and
+    at the last step of every run."""
     rows = {}
-    for shape in SHAPES:
-        dimension, expected, target = shape_row(shape).judged, expected_count(shape), _target(shape)
-        clean = _margin(target.diagram[dimension], expected, target.floor)
-        row = {"bar": f"H{dimension}, {expected}. longest", "clean surface": clean}
-        for name in ARMS:
+    for shape, rank in _expected(collected).items():
+        target = target_of(shape)
+        dimension = target.dimension
+        rows[shape] = {
+            "bar": f"H{dimension}, {rank}. longest",
+            "clean surface": _margin(target.diagram[dimension], rank, target.floor),
+        }
+        for name in frames.conditions(collected):
             lasts = [record["dumps"][-1] for record in collected.of(shape, name)]
-            margins = [
-                _margin(np.array(last["bars"][dimension]).reshape(-1, 2), expected, last["floor"])
-                for last in lasts
-            ]
-            row[name] = " / ".join(margins) or "not recorded"
-        rows[shape] = row
+            bars = [np.array(last["bars"][dimension]).reshape(-1, 2) for last in lasts]
+            margins = [_margin(own, rank, last["floor"]) for own, last in zip(bars, lasts, strict=True)]
+            rows[shape][name] = " / ".join(margins)
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-@lru_cache(maxsize=None)
-def _target(shape: str) -> Target:
-    return make_target(surface(shape), cache=None)
+def _expected(collected: Collected) -> dict[str, int]:
+    """Return {shape: expected count} of the shapes whose records know one."""
+    runs = frames.runs(collected).dropna(subset="expected")
+    return {shape: int(own["expected"].max()) for shape, own in runs.groupby("shape", sort=False)}
 
 
 def _margin(bars: np.ndarray, rank: int, floor: float) -> str:

@@ -1,6 +1,9 @@
-"""Our differentiable alpha diagrams beside the libraries that offer them: the stored measurement and its table.
+"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them: the stored measurement
+and its table.
 
-Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file and needs no peer."""
+Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file
+and needs no peer.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,17 @@ from paper_artifact.bench.peers import OURS, PEERS, SIZES, peer_rows, why_missin
 from paper_artifact.errors import InputError
 from paper_artifact.record.environment import host, packages
 
-ROUNDING = 1e-12
+ROUNDING = 1e-12  # a difference up to it is none
 
 
-def measure_all(
+def measure_peers(
     sizes: Sequence[int] = SIZES, repetitions: int = 7, progress: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
-    """Return the rows of `bench.peers.peer_rows` with the machine, its load (1-minute average when the row was done; 0 where the
-    system has none) and the versions; five minutes of CPU.
+    """Return the rows of `bench.peers.peer_rows` with the machine, its load (1-minute average when the row
+    was done; 0 where the system has none) and the versions; five minutes of CPU.
 
-    Raises InputError, with the line that installs it, when a peer is missing: a stored table must not lose one unnoticed.
+    Raises InputError, with the line that installs it, when a peer is missing: a stored table must not lose
+    one unnoticed.
     """
     missing = [line for line in map(why_missing, PEERS) if line]
     if missing:
@@ -44,17 +48,15 @@ def measure_all(
 
 
 def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return per cloud, M and library: CPU ms of forward (points, diagrams, loss) and backward, how many times ours, for the
-    forward alone and for both, and whether the ten longest bars and the gradient are ours (largest difference; "same" up to
-    1e-12)."""
+    """Return per cloud, M and library: CPU ms of forward (points, diagrams, loss) and backward, how many
+    times ours, for the forward alone and for both, and whether the ten longest bars and the gradient are ours
+    (largest difference; "same" up to 1e-12)."""
+    names = stored["library"]
     return pd.DataFrame(
         {
             "cloud": stored["cloud"],
             "M": stored["M"],
-            "library": [
-                name if name == OURS else f"{name} {version}"
-                for name, version in zip(stored["library"], stored["version"], strict=True)
-            ],
+            "library": names.where(names == OURS, names + " " + stored["version"]),
             "forward ms": stored["forward_ms"].round(0),
             "backward ms": stored["backward_ms"].round(0),
             "forward / ours": stored["forward_ratio"].round(1),
@@ -67,12 +69,12 @@ def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 def peers_machine(stored: pd.DataFrame) -> str:
     """Return the line that says where the stored times come from and what was left out."""
-    row = stored.iloc[0]
-    turns = f"medians of {stored['turns'].max()} turns, a peer that took longer than half a minute once"
+    row, load = stored.iloc[0], stored["load"]
     left = f"; {row['not_measured']}" if isinstance(row["not_measured"], str) and row["not_measured"] else ""
     return (
-        f"{row['cpu']}, load {stored['load'].min()} to {stored['load'].max()}, one thread, Python {row['python']}, "
-        f"torch {row['torch']}, gudhi {row['gudhi']}; {turns}{left}"
+        f"{row['cpu']}, load {load.min()} to {load.max()}, one thread, "
+        f"Python {row['python']}, torch {row['torch']}, gudhi {row['gudhi']}; "
+        f"medians of {stored['turns'].max()} turns, a peer that took longer than half a minute once{left}"
     )
 
 

@@ -1,204 +1,129 @@
-"""Floor windows (Table S13): for which multipliers k of the floor k·r_med every bundle decision of the study stays as it is.
+"""Notebook 04: for which multipliers k of the floor k·r_med every bundle decision of the study stays as it is
+(Table S13).
 
-A shape's features are the classes that its surface has (or, for the bowls, that its samples show). At the protocol's density and
-bundle seed each is IN (a bar above the floor in a dimension the loss acts on) or OUT. An IN bar leaves when k exceeds 6 times its
-margin (lifetime / floor), an OUT one enters when k falls below 6 times its margin: those are the flip points.
+A shape's features are the classes that its surface has (or, for the bowls, that its samples show). At the
+study's density and bundle seed each is IN (a bar above the floor in a dimension the loss acts on) or OUT. An
+IN bar leaves when k exceeds 6 times its margin (lifetime / floor), an OUT one enters when k falls below 6
+times its margin: those are the flip points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import shape_row
-from paper_artifact.evaluate.diagram import lifetimes
-from paper_artifact.evaluate.staircase import MULTIPLIER, measure
-from paper_artifact.report.figures import new_figure
-from paper_artifact.report.published import published
+from paper_artifact.evaluate.staircase import MULTIPLIER
+from paper_artifact.export.figures import new_figure
+from paper_artifact.report.kit.published import published
+from paper_artifact.report.kit.staircase import BAR_NAMES, bar_name, bars, staircase
+from paper_artifact.report.kit.text import span
 from paper_artifact.scene.find import surface
 
-# Finite classes (H0, H1, H2) per shape. The external meshes' genera are certified; a bowl has no class of its own but reads as
-# a void with a rim.
-FEATURES = {
-    "sphere": (0, 0, 1),
-    "cube": (0, 0, 1),
-    "torus": (0, 2, 1),
-    "two_spheres": (1, 0, 2),
-    "double_torus": (0, 4, 1),
-    "spot": (0, 0, 1),
-    "fandisk": (0, 0, 1),
-    "bob": (0, 2, 1),
-    "rocker-arm": (0, 2, 1),
-    "eight": (0, 4, 1),
-    "armadillo": (0, 0, 1),
-    "horse": (0, 0, 1),
-    "pot": (0, 6, 1),
-    "bowl_narrow": (0, 1, 1),
-    "bowl_wide": (0, 1, 1),
-}
-NAMES = ("component", "loop", "void")
-BUNDLES, MEDIAN = -1, -2  # in the place of a seed: each shape's own bundle seed; the median over all seeds
+FEATURE = ["shape", "M", "dimension", "bar", "acts"]
 
 
-def margin_table(shapes: Iterable[str] = tuple(FEATURES), seeds: Iterable[int] = (0,)) -> pd.DataFrame:
-    """Return one line per shape, seed and feature: dimension, rank, margin (lifetime / floor at k = 6), whether it is IN, and
-    whether the seed is that of the study's bundle.
+def margin_table(shapes: Iterable[str] = (), seeds: Iterable[int] = (0,)) -> pd.DataFrame:
+    """Return one row per shape, seed and feature: shape, M, seed, dimension, bar, acts (whether the loss acts
+    on the dimension), margin (lifetime / floor at k = 6), inside (IN), bundle (whether the seed is that of
+    the study's bundle).
 
-    Raises InputError for an external mesh that cannot be had.
+    shapes: of the catalogue; none: those of Table S13. Raises InputError for an external mesh that cannot be
+    had.
     """
-    rows = []
-    for shape in shapes:
-        protocol = shape_row(shape)
-        for seed in seeds:
-            diagram, floor = measure(surface(shape), protocol.samples, seed)
-            for dimension, count in enumerate(FEATURES[shape]):
-                margins = np.sort(lifetimes(diagram[dimension]))[::-1][:count] / floor
-                acts = protocol.dimensions is None or dimension in protocol.dimensions
-                rows += [
-                    {
-                        "shape": shape,
-                        "M": protocol.samples,
-                        "seed": seed,
-                        "dimension": dimension,
-                        "rank": rank + 1,
-                        "margin": margin,
-                        "in": bool(acts and margin > 1),
-                        "bundle": seed == protocol.bundle_seed,
-                    }
-                    for rank, margin in enumerate(margins)
-                ]
-    return pd.DataFrame(rows)
-
-
-def window_table(margins: pd.DataFrame) -> pd.DataFrame:
-    """Return Table S13: tightest IN and largest OUT margin per shape (the bundle's seed, and the range over all), flip points k,
-    beside the paper's."""
-    paper = published("S13").set_index(["shape", "quantity"])["value"]
-    rows = []
-    for shape, group in margins.groupby("shape", sort=False):
-        row = {"shape": shape, "M": group["M"].iloc[0]}
-        for which, inside, pick in (("IN", True, "min"), ("OUT", False, "max")):
-            chosen = group[group["in"] == inside]
-            best = _extreme(chosen[chosen["bundle"]], pick)
-            key = "tightest_in_over_floor" if inside else "largest_out_over_floor"
-            name = "tightest IN" if inside else "largest OUT"
-            row[name] = (
-                "—" if best is None else f"{best['margin']:.2f} ({NAMES[best['dimension']]} {best['rank']})"
-            )
-            extremes = chosen.groupby("seed")["margin"].agg(pick)
-            row[f"{which}, seeds"] = "—" if extremes.empty else f"{extremes.min():.2f}–{extremes.max():.2f}"
-            row[f"paper's {which}"] = _printed(paper, shape, key)
-            row[f"k flips {which}"] = "—" if best is None else f"{MULTIPLIER * best['margin']:.2f}"
-        rows.append(row)
-    return pd.DataFrame(rows).set_index("shape")
+    found = []
+    for shape in shapes or published("S13")["shape"].unique():
+        if (row := shape_row(shape)) is None:
+            continue  # the table's last rows are about all shapes
+        own = bars(staircase(surface(shape), (row.samples,), seeds, kept=max(row.features)))
+        features = [bar_name(d, rank + 1) for d, count in enumerate(row.features) for rank in range(count)]
+        own = own[own["bar"].isin(features)]
+        acts = own["dimension"].isin(range(3) if row.dimensions is None else row.dimensions)
+        found.append(own.assign(acts=acts, bundle=own["seed"] == row.bundle_seed))
+    table = pd.concat(found, ignore_index=True).rename(columns={"samples": "M"})
+    return _decided(table[[*FEATURE[:2], "seed", *FEATURE[2:], "margin", "bundle"]])
 
 
 def median_margins(margins: pd.DataFrame) -> pd.DataFrame:
-    """Return a margin table with one line per feature, the median over the seeds; IN if that exceeds 1 where the loss acts
-    ("seed" MEDIAN)."""
-    keys = ["shape", "M", "dimension", "rank"]
-    table = margins.groupby(keys, sort=False)["margin"].median().reset_index().assign(seed=MEDIAN)
-    acts = [
-        shape_row(shape).dimensions is None or dimension in shape_row(shape).dimensions
-        for shape, dimension in zip(table["shape"], table["dimension"])
-    ]
-    return table.assign(**{"in": np.array(acts) & (table["margin"] > 1)})
+    """Return a margin table with one row per feature, the median over the seeds."""
+    return _decided(margins.groupby(FEATURE, sort=False)["margin"].median().reset_index())
+
+
+def _decided(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(inside=table["acts"] & (table["margin"] > 1))
+
+
+def table_s13(margins: pd.DataFrame) -> pd.DataFrame:
+    """Return Table S13: tightest IN and largest OUT margin per shape (the bundle's seed, and the range over
+    all), flip points k, beside the paper's."""
+    paper = published("S13").pivot(index="shape", columns="quantity", values="printed")
+    table = margins.groupby("shape", sort=False)[["M"]].first()
+    for which, name, pick in (("IN", "tightest IN", "first"), ("OUT", "largest OUT", "last")):
+        own = margins[margins["inside"] == (which == "IN")].sort_values("margin")
+        bundle = own[own["bundle"]].groupby("shape")[["margin", "bar"]].agg(pick)
+        seeds = own.groupby(["shape", "seed"])["margin"].agg(pick)
+        table[name] = bundle["margin"].map("{:.2f}".format) + " (" + bundle["bar"] + ")"
+        table[f"{which}, seeds"] = seeds.groupby("shape").agg(span, 2)
+        table[f"paper's {which}"] = paper[f"{name.lower().replace(' ', '_')}_over_floor"]
+        table[f"k flips {which}"] = (MULTIPLIER * bundle["margin"]).map("{:.2f}".format)
+    return table.fillna("—")
+
+
+def binding(margins: pd.DataFrame) -> list[pd.Series]:
+    """Return the largest OUT and the tightest IN feature: the rows between whose flip points k may lie."""
+    ordered = margins.sort_values("margin")
+    return [ordered[~ordered["inside"]].iloc[-1], ordered[ordered["inside"]].iloc[0]]
 
 
 def global_window(margins: pd.DataFrame, without: Sequence[tuple[str, int]] = ()) -> pd.DataFrame:
-    """Return the interval of k in which no decision changes, with the two binding features: of the study's bundles, of the median
-    margins, and of every seed; beside the paper's.
+    """Return the interval of k in which no decision changes, with the two binding features: of the study's
+    bundles, of the median margins, and of every seed; beside the paper's.
 
     without: (shape, dimension) features left out, to see what binds next.
     """
-    left_out = [
-        (shape, dimension) in without for shape, dimension in zip(margins["shape"], margins["dimension"])
-    ]
-    kept = margins[~np.array(left_out, dtype=bool)]
-    rows = []
-    bundles = kept[kept["bundle"]].assign(seed=BUNDLES)
-    for seed, group in pd.concat([bundles, median_margins(kept), kept]).groupby("seed", sort=False):
-        low, high = _extreme(group[~group["in"]], "max"), _extreme(group[group["in"]], "min")
-        rows.append(
-            {
-                "source": {BUNDLES: "ours, the bundles' seeds", MEDIAN: "ours, median margins"}.get(
-                    seed, f"ours, seed {seed}"
-                ),
-                "k from": round(MULTIPLIER * low["margin"], 2),
-                "bound by (OUT)": _name(low),
-                "k to": round(MULTIPLIER * high["margin"], 2),
-                "bound by (IN)": _name(high),
-            }
-        )
-    paper = published("S13").set_index("quantity")["value"]
-    rows.append(
-        {
-            "source": "paper",
-            "k from": paper["window_low"],
-            "bound by (OUT)": "double_torus loop 3",
-            "k to": paper["window_high"],
-            "bound by (IN)": "bob void 1",
-        }
-    )
-    return pd.DataFrame(rows).set_index("source")
+    kept = margins[~margins.set_index(["shape", "dimension"]).index.isin(without)]
+    sources = {"ours, the bundles' seeds": kept[kept["bundle"]], "ours, median margins": median_margins(kept)}
+    sources |= {f"ours, seed {seed}": group for seed, group in kept.groupby("seed")}
+    rows = {}
+    for source, group in sources.items():
+        ends = [
+            (f"{MULTIPLIER * each['margin']:.2f}", f"{each['shape']} {each['bar']}")
+            for each in binding(group)
+        ]
+        rows[source] = [*ends[0], *ends[1]]
+    paper = published("S13").set_index("quantity").loc[["window_low", "window_high"]]
+    paper = paper.assign(note=paper["note"].str.removeprefix("bound by "))
+    rows["paper"] = paper[["printed", "note"]].to_numpy().ravel()
+    columns = ["k from", "bound by (OUT)", "k to", "bound by (IN)"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("source")
 
 
 def window_figure(margins: pd.DataFrame) -> Figure:
-    """Return per shape its features' flip points 6·margin (medians over the seeds) on a common axis of k: filled IN, hollow OUT;
-    the band is the window of k, small dots are single seeds."""
+    """Return per shape its features' flip points 6·margin (medians over the seeds) on a common axis of k:
+    filled IN, hollow OUT; the band is the window of k, small dots are single seeds."""
     figure, axes = new_figure(1, 1, 7.5, 4.2)
-    axis, group = axes[0][0], median_margins(margins)
-    shapes = list(dict.fromkeys(group["shape"]))
-    colours = ("#1e8449", "#1f5fbf", "#c0392b")
-    for row in group.itertuples():
-        inside = group.loc[row.Index, "in"]
+    axis, medians = axes[0][0], median_margins(margins)
+    places = {shape: place for place, shape in enumerate(medians["shape"].unique())}
+    for dimension, colour in enumerate(("#1e8449", "#1f5fbf", "#c0392b")):
+        seeds, own = (each[each["dimension"] == dimension] for each in (margins, medians))
         axis.scatter(
-            MULTIPLIER * row.margin,
-            shapes.index(row.shape),
-            s=34,
-            facecolor=colours[row.dimension] if inside else "none",
-            edgecolor=colours[row.dimension],
-            linewidths=1.1,
-            zorder=3,
+            MULTIPLIER * seeds["margin"], seeds["shape"].map(places), s=3, color=colour, linewidths=0
         )
-    axis.scatter(
-        MULTIPLIER * margins["margin"],
-        [shapes.index(each) for each in margins["shape"]],
-        s=3,
-        color=[colours[each] for each in margins["dimension"]],
-        linewidths=0,
-    )
-    low = MULTIPLIER * group.loc[~group["in"], "margin"].max()
-    high = MULTIPLIER * group.loc[group["in"], "margin"].min()
+        faces, heights = own["inside"].map({True: colour, False: "none"}), own["shape"].map(places)
+        axis.scatter(MULTIPLIER * own["margin"], heights, s=34, c=faces, edgecolor=colour, zorder=3)
+        axis.scatter([], [], color=colour, s=34, label=BAR_NAMES[dimension])
+    axis.scatter([], [], facecolor="none", edgecolor="black", s=34, label="OUT (hollow)")
+    low, high = (MULTIPLIER * each["margin"] for each in binding(medians))
     axis.axvspan(low, high, color="#f5d76e", alpha=0.5, linewidth=0)
     axis.axvline(MULTIPLIER, color="black", linestyle="--", linewidth=0.8)
-    for name, colour in zip(NAMES, colours):
-        axis.scatter([], [], color=colour, s=34, label=name)
-    axis.scatter([], [], facecolor="none", edgecolor="black", s=34, label="OUT (hollow)")
-    axis.set_yticks(range(len(shapes)), shapes, fontsize=8)
+    axis.set_yticks(list(places.values()), list(places), fontsize=8)
     axis.invert_yaxis()
     axis.set(xscale="log", xlabel="k at which the decision flips (6 × margin)")
-    axis.set_xticks(
-        [2, 3, 4, 5, 6, 8, 10, 15, 20, 30], ["2", "3", "4", "5", "6", "8", "10", "15", "20", "30"]
-    )
+    ticks = [2, 3, 4, 5, 6, 8, 10, 15, 20, 30]
+    axis.set_xticks(ticks, list(map(str, ticks)))
     axis.minorticks_off()
     axis.grid(alpha=0.25)
     axis.legend(fontsize=7, loc="lower right")
     return figure
-
-
-def _extreme(group: pd.DataFrame, pick: str) -> pd.Series | None:
-    if group.empty:
-        return None
-    return group.loc[group["margin"].idxmin() if pick == "min" else group["margin"].idxmax()]
-
-
-def _name(feature: pd.Series) -> str:
-    return f"{feature['shape']} {NAMES[feature['dimension']]} {feature['rank']}"
-
-
-def _printed(paper: pd.Series, shape: str, key: str) -> str:
-    return f"{paper[shape, key]:.2f}" if (shape, key) in paper.index else "—"

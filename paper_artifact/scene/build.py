@@ -1,4 +1,4 @@
-"""Mesh → COLMAP scene on disk: images, sparse model, SfM cloud, the ground-truth mesh, and where it all came from."""
+"""Mesh → COLMAP scene on disk: images, sparse model, SfM cloud, ground-truth mesh, where it all came from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tqdm import tqdm
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
-from paper_artifact.mesh import Mesh
+from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonacci_cameras
@@ -34,18 +34,16 @@ GROUND_TRUTH = "ground_truth.npz"
 class SceneConfig:
     """How a scene is made of a mesh (paper, Experimental setup: 24-72 views at 200-256 pixels).
 
-    views: number of Fibonacci-sphere cameras, every 8th is held out; size: image side in pixels; background: white or black;
-    supersample: samples per pixel and axis; points: SfM points drawn from the surface, uniform by area; texture_frequency:
-    multiplies the texture's wave numbers; seed: of the SfM cloud. Raises InputError for values out of range.
+    Raises InputError for values out of range.
     """
 
-    views: int = 48
-    size: int = 200
-    background: str = "white"
-    supersample: int = 4
-    points: int = 15000
-    texture_frequency: float = 1.0
-    seed: int = 0
+    views: int = 48  # cameras on a Fibonacci sphere, every 8th is held out
+    size: int = 200  # image side, pixels
+    background: str = "white"  # or "black"
+    supersample: int = 4  # samples per pixel and axis
+    points: int = 15000  # of the SfM cloud, drawn from the surface, uniform by area
+    texture_frequency: float = 1.0  # multiplies the texture's wave numbers
+    seed: int = 0  # of the SfM cloud
 
     def __post_init__(self) -> None:
         for name, lowest, highest in (
@@ -67,31 +65,24 @@ class SceneConfig:
         background_colour(self.background)
 
 
-def mesh_hash(mesh: Mesh) -> str:
-    """sha256 (hex) over the mesh's vertices and faces; the name does not count."""
-    digest = hashlib.sha256(f"{len(mesh.vertices)} {len(mesh.faces)} ".encode())
-    digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
-    digest.update(np.ascontiguousarray(mesh.faces, dtype="<i8").tobytes())
-    return digest.hexdigest()
-
-
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
-    """sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
+    """Return the sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
     content = {"format": SCENE_FORMAT, "config": asdict(config), "mesh": mesh_hash(mesh), "name": mesh.name}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def scene_folder(mesh: Mesh, config: SceneConfig, root: Path | str) -> Path:
-    """A folder below `root` that no other mesh or configuration shares, for callers that keep many scenes."""
+    """Return a folder below `root` that no other mesh or configuration shares."""
     return Path(root) / f"{mesh.name}-{scene_key(mesh, config)[:12]}"
 
 
 def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: bool = False) -> Path:
     """Write the COLMAP scene of `mesh` to `folder` and return the folder.
 
-    Contents: images/view_000.png …, sparse/0/{cameras,images,points3D}.bin, ground_truth.npz (the mesh, float64 world
-    units), scene.json (name, configuration, hashes, background, bounding sphere). All or nothing: built in a temporary
-    folder beside and renamed. A folder that already holds this very scene is returned as it is. `progress` shows a bar.
+    Contents: images/view_000.png …, sparse/0/{cameras,images,points3D}.bin, ground_truth.npz (the mesh,
+    float64 world units), scene.json (name, configuration, hashes, background, bounding sphere). All or
+    nothing: built in a temporary folder beside and renamed. A folder that already holds this very scene is
+    returned as it is. `progress` shows a bar.
 
     Raises InputError when the folder holds anything else or cannot be written.
     """
@@ -108,9 +99,8 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
         try:
             os.rename(temporary, folder)
         except OSError:
-            if not _holds(
-                folder, key, config.views
-            ):  # another process may have built the same scene meanwhile
+            # Another process may have built the same scene meanwhile.
+            if not _holds(folder, key, config.views):
                 raise
     except OSError as error:
         raise InputError(
@@ -123,7 +113,7 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
 
 
 def _holds(folder: Path, key: str, views: int) -> bool:
-    """True when the folder holds the scene `key`, False when it is absent or empty; else InputError."""
+    """Return whether the folder holds the scene `key`; InputError when it holds anything else."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     try:
@@ -148,9 +138,8 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     cameras = fibonacci_cameras(mesh, config.views, config.size)
     names = [f"view_{index:03d}.png" for index in range(config.views)]
     (folder / "images").mkdir()
-    for name, camera in tqdm(
-        list(zip(names, cameras)), desc=f"rendering {mesh.name}", unit="view", disable=not progress
-    ):
+    views = list(zip(names, cameras, strict=True))
+    for name, camera in tqdm(views, desc=f"rendering {mesh.name}", unit="view", disable=not progress):
         image = render_ground_truth(mesh, camera, background, config.supersample, config.texture_frequency)
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
     positions, _, _ = sample_surface(
@@ -169,7 +158,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         },
         images={
             index + 1: Pose(name, 1, camera.quaternion, camera.translation)
-            for index, (name, camera) in enumerate(zip(names, cameras))
+            for index, (name, camera) in enumerate(views)
         },
         point_ids=np.arange(1, config.points + 1),
         positions=positions,

@@ -1,4 +1,4 @@
-"""Pinhole cameras in COLMAP's convention, the Fibonacci-sphere viewpoints, and the projection into clip space."""
+"""Pinhole cameras in COLMAP's convention, viewpoints on a Fibonacci sphere, projection into clip space."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from paper_artifact.mesh import Mesh
 CAMERA_DISTANCE = 3.0  # in bounding radii of the scene
 FIELD_OF_VIEW = 50.0  # degrees, over the image's width
 NEAR, FAR = 0.01, 100.0  # in bounding radii of the scene
-GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))  # radians
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera and its pose, as COLMAP writes them.
+    """A pinhole camera and its pose, as COLMAP writes them: x right, y down, z forward.
 
-    Intrinsics in pixels, the image's upper left corner at (0, 0) and the first pixel's centre at (.5, .5). Pose: world →
-    camera, x_camera = R x_world + translation with x right, y down, z forward; `quaternion` (w, x, y, z) is R.
+    The image's upper left corner is at (0, 0), the first pixel's centre at (.5, .5).
     """
 
-    width: int
-    height: int
-    focal_x: float
-    focal_y: float
-    centre_x: float
-    centre_y: float
-    quaternion: tuple[float, float, float, float]
-    translation: tuple[float, float, float]
+    width: int  # pixels
+    height: int  # pixels
+    focal_x: float  # pixels
+    focal_y: float  # pixels
+    centre_x: float  # of the projection, pixels
+    centre_y: float  # of the projection, pixels
+    quaternion: tuple[float, float, float, float]  # (w, x, y, z) of R: world → camera
+    translation: tuple[float, float, float]  # t in x_camera = R x_world + t, world units
 
     @property
     def rotation(self) -> np.ndarray:
-        """World → camera rotation matrix (3,3) float64."""
+        """The rotation matrix world → camera, (3,3) float64."""
         return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
 
     @property
@@ -45,11 +44,11 @@ class Camera:
 
 
 def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
-    """The matrix (4,4) float64 with clip = M @ (x, y, z, 1) of a world position.
+    """Return the matrix (4,4) float64 with clip = M @ (x, y, z, 1) of a world position.
 
-    w is the depth in front of the camera (world units), NDC = xyz / w: x right, y down, the centre of the pixel in row r,
-    column c at ((2c+1)/width - 1, (2r+1)/height - 1); z runs from -1 at `near` to 1 at `far` (world units, depth along the
-    viewing axis).
+    w is the depth in front of the camera (world units), NDC = xyz / w: x right, y down, the centre of the
+    pixel in row r, column c at ((2c+1)/width - 1, (2r+1)/height - 1); z runs from -1 at `near` to 1 at `far`
+    (world units, depth along the viewing axis).
     """
     projection = np.array(
         [
@@ -68,9 +67,10 @@ def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
 def look_at(
     position: np.ndarray, target: np.ndarray, size: int, field_of_view: float = FIELD_OF_VIEW
 ) -> Camera:
-    """A square camera of `size` pixels at `position`, looking at `target` (world units), the world's +z upwards.
+    """Return a square camera of `size` pixels at `position` that looks at `target` (world units), +z upwards.
 
-    field_of_view in degrees over the width. Raises InputError when the view is along the z axis, where up is undefined.
+    field_of_view: degrees over the width. Raises InputError when the view is along the z axis, where up is
+    undefined.
     """
     forward = np.asarray(target, dtype=np.float64) - position
     distance = np.linalg.norm(forward)
@@ -85,19 +85,19 @@ def look_at(
     focal = size / 2 / np.tan(np.radians(field_of_view) / 2)
     quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
     return Camera(
-        size,
-        size,
-        float(focal),
-        float(focal),
-        size / 2,
-        size / 2,
-        tuple(map(float, quaternion)),
-        tuple(map(float, -rotation @ position)),
+        width=size,
+        height=size,
+        focal_x=float(focal),
+        focal_y=float(focal),
+        centre_x=size / 2,
+        centre_y=size / 2,
+        quaternion=tuple(map(float, quaternion)),
+        translation=tuple(map(float, -rotation @ position)),
     )
 
 
 def fibonacci_directions(count: int) -> np.ndarray:
-    """`count` unit vectors (count,3) float64, evenly spread: z = 1 - (2i+1)/count, azimuth i × golden angle.
+    """Return unit vectors (count,3) float64, evenly spread: z = 1 - (2i+1)/count, azimuth i × golden angle.
 
     None is on the z axis. Raises InputError for fewer than one.
     """
@@ -110,7 +110,7 @@ def fibonacci_directions(count: int) -> np.ndarray:
 
 
 def fibonacci_cameras(mesh: Mesh, count: int, size: int) -> tuple[Camera, ...]:
-    """`count` cameras on a Fibonacci sphere around the mesh (paper, Experimental setup), all looking at its centre.
+    """Return cameras on a Fibonacci sphere that look at the mesh's centre (paper, Experimental setup).
 
     Distance 3 bounding radii, 50 degrees, `size` × `size` pixels: the paper names neither distance nor angle.
     """

@@ -1,7 +1,7 @@
 """COLMAP's sparse model: cameras, images and points3D, as text and as binary.
 
-Format: https://colmap.github.io/format.html. What a trainer needs is kept (cameras, poses, names, points with colour and
-reprojection error); 2-D observations and tracks are read past, and written as empty.
+Format: https://colmap.github.io/format.html. What a trainer needs is kept (cameras, poses, names, points with
+colour and reprojection error); 2-D observations and tracks are read past, and written as empty.
 """
 
 from __future__ import annotations
@@ -31,74 +31,76 @@ MODELS = (
     "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE",
 )
-PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
+PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has; the other models are not read
+FILES = ("cameras", "images", "points3D")
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """One COLMAP camera: model name, size in pixels, parameters in pixels (f, cx, cy or fx, fy, cx, cy)."""
+    """One COLMAP camera."""
 
-    model: str
-    width: int
-    height: int
-    parameters: tuple[float, ...]
+    model: str  # one of MODELS
+    width: int  # pixels
+    height: int  # pixels
+    parameters: tuple[float, ...]  # pixels: (f, cx, cy) or (fx, fy, cx, cy)
 
 
 @dataclass(frozen=True)
 class Pose:
-    """One COLMAP image: file name, camera id, world → camera quaternion (w, x, y, z) and translation (world units)."""
+    """One COLMAP image."""
 
-    name: str
-    camera: int
-    quaternion: tuple[float, float, float, float]
-    translation: tuple[float, float, float]
+    name: str  # of its file
+    camera: int  # id
+    quaternion: tuple[float, float, float, float]  # (w, x, y, z), world → camera
+    translation: tuple[float, float, float]  # world → camera, world units
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A sparse model. `cameras` and `images` by COLMAP id; the point cloud as arrays: ids (P,) int64, positions (P,3)
-    float64 world units, colours (P,3) uint8, errors (P,) float64 pixels."""
+    """A sparse model: cameras, images and a cloud of P points."""
 
-    cameras: dict[int, Intrinsics]
-    images: dict[int, Pose]
-    point_ids: np.ndarray
-    positions: np.ndarray
-    colours: np.ndarray
-    errors: np.ndarray
+    cameras: dict[int, Intrinsics]  # by id
+    images: dict[int, Pose]  # by id
+    point_ids: np.ndarray  # (P,) int64
+    positions: np.ndarray  # (P,3) float64, world units
+    colours: np.ndarray  # (P,3) uint8 RGB
+    errors: np.ndarray  # (P,) float64, reprojection error, pixels
 
     def camera(self, image: int) -> Camera:
-        """The pinhole camera with pose of one image id."""
+        """Return the pinhole camera with pose of one image id."""
         pose = self.images[image]
         intrinsics = self.cameras[pose.camera]
-        focal = intrinsics.parameters[:-2]
+        *focal, centre_x, centre_y = intrinsics.parameters
         return Camera(
-            intrinsics.width,
-            intrinsics.height,
-            focal[0],
-            focal[-1],
-            *intrinsics.parameters[-2:],
-            pose.quaternion,
-            pose.translation,
+            width=intrinsics.width,
+            height=intrinsics.height,
+            focal_x=focal[0],
+            focal_y=focal[-1],
+            centre_x=centre_x,
+            centre_y=centre_y,
+            quaternion=pose.quaternion,
+            translation=pose.translation,
         )
 
 
 def read_model(folder: Path | str) -> Model:
-    """Read `cameras`, `images`, `points3D` (.bin, or else .txt) from a sparse folder.
+    """Return the model that `cameras`, `images`, `points3D` (.bin, or else .txt) of a sparse folder hold.
 
-    Raises InputError, naming the file, for missing or damaged files, camera models with distortion, and images that
-    refer to a camera that is not there.
+    Raises InputError, naming the file, for missing or damaged files, camera models with distortion, and
+    images that refer to a camera that is not there.
     """
     folder = Path(folder)
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    paths = [folder / (name + suffix) for name in ("cameras", "images", "points3D")]
+    paths = [folder / (name + suffix) for name in FILES]
     for path in paths:
         if not path.is_file():
             raise InputError(
-                f"no COLMAP file at {path}; give the folder that holds sparse/0 with cameras, images and points3D"
+                f"no COLMAP file at {path}; "
+                "give the folder that holds sparse/0 with cameras, images and points3D"
             )
     readers = _BINARY_READERS if suffix == ".bin" else _TEXT_READERS
     parts = []
-    for path, reader in zip(paths, readers):
+    for path, reader in zip(paths, readers, strict=True):
         try:
             parts.append(reader(path.read_bytes()))
         except InputError as error:
@@ -120,19 +122,19 @@ def read_model(folder: Path | str) -> Model:
 
 
 def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
-    """Write the model's three files into `folder` as binary or text, each atomically; floats are written exactly.
+    """Write the model's three files into `folder`, binary or text, each atomically; floats are exact.
 
     Raises InputError when the folder is not writable.
     """
     writers = _BINARY_WRITERS if binary else _TEXT_WRITERS
-    for name, writer in zip(("cameras", "images", "points3D"), writers):
+    for name, writer in zip(FILES, writers, strict=True):
         content = writer(model)
         path = Path(folder) / (name + (".bin" if binary else ".txt"))
         write_bytes(path, content) if binary else write_text(path, content)
 
 
 class _Bytes:
-    """Reads little-endian structures one after another; short data raise struct.error, never allocate ahead."""
+    """Little-endian structures, read one after another; short data raise struct.error."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.offset = data, 0
@@ -171,8 +173,8 @@ def _pinhole_only(model: str, camera: int) -> None:
         raise ValueError(f"unknown camera model {model}")
     if model not in PARAMETERS:
         raise InputError(
-            f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), only PINHOLE and "
-            "SIMPLE_PINHOLE are read"
+            f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), "
+            f"only {' and '.join(reversed(PARAMETERS))} are read"
         )
 
 
@@ -330,9 +332,8 @@ def _exact(values: Iterable[float]) -> str:
 
 
 def _point_rows(model: Model) -> zip:
-    return zip(
-        model.point_ids.tolist(), model.positions.tolist(), model.colours.tolist(), model.errors.tolist()
-    )
+    columns = (model.point_ids, model.positions, model.colours, model.errors)
+    return zip(*(column.tolist() for column in columns), strict=True)
 
 
 _BINARY_READERS = (_read_cameras_binary, _read_images_binary, _read_points_binary)

@@ -1,11 +1,13 @@
-"""Bring external meshes: download at the pinned commit, or copy from a local mirror; check; put in place atomically.
+"""Bring external meshes: download at the pinned commit or copy from a mirror, check, put in place atomically.
 
-`mesh_path("spot")` is what other code calls: it returns the path of the verified mesh file and fetches it if needed.
+`mesh_path("spot")` is what other code calls: it returns the path of the verified mesh file and fetches it if
+needed.
 
 Where a file comes from, first hit wins: `mirror`; the environment variable PAPER_ARTIFACT_MIRROR; the folder
-../shared/meshes beside the repository, if it holds the file; https://raw.githubusercontent.com. A mirror has the layout
-<owner>+<repository>/<path>. Files land in the git-ignored data_scripts/downloads/ in the same layout; a file appears there
-only whole and with the right sha256. An archive (horse.zip) is kept and its mesh unpacked beside it.
+../shared/meshes beside the repository, if it holds the file; https://raw.githubusercontent.com. A mirror has
+the layout <owner>+<repository>/<path>. Files land in the git-ignored data_scripts/downloads/ in the same
+layout; a file appears there only whole and with the right sha256. An archive (horse.zip) is kept and its mesh
+unpacked beside it.
 """
 
 from __future__ import annotations
@@ -31,8 +33,11 @@ SIBLING_MIRROR = REPOSITORY.parent / "shared" / "meshes"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
 RAW = "https://raw.githubusercontent.com"
 TIMEOUT = 30.0  # seconds without a byte
-CHUNK = 1 << 16
-OFFLINE_HINT = f"check the network, or point --mirror or {MIRROR_VARIABLE} to a folder that holds <owner>+<repository>/<path>"
+CHUNK = 1 << 16  # bytes read at once
+MIRROR_LAYOUT = "<owner>+<repository>/<path>"
+OFFLINE_HINT = (
+    f"check the network, or point --mirror or {MIRROR_VARIABLE} to a folder that holds {MIRROR_LAYOUT}"
+)
 
 
 class Unreachable(InputError):
@@ -40,17 +45,18 @@ class Unreachable(InputError):
 
 
 class Fetched(NamedTuple):
-    """path of the mesh file; origin: where its bytes came from ("already there", a folder, or a URL)."""
+    """A mesh that is in place."""
 
-    path: Path
-    origin: str
+    path: Path  # of the mesh file
+    origin: str  # where its bytes came from: "already there", a folder, or a URL
 
 
 def mesh_path(key: str, *, mirror: Path | str | None = None, downloads: Path = DOWNLOADS) -> Path:
     """Return the verified mesh file of `key` (a key of data_scripts/meshes.csv), fetching it if needed.
 
-    mirror: a local folder to read from instead of the network (module docstring). Raises InputError for an unknown or
-    not obtainable key, a wrong sha256, a file missing in the mirror, an interrupted download, or no network.
+    mirror: a local folder to read from instead of the network (module docstring). Raises InputError for an
+    unknown or not obtainable key, a wrong sha256, a file missing in the mirror, an interrupted download, or
+    no network.
     """
     return fetch(key, mirror=mirror, downloads=downloads, quiet=True).path
 
@@ -63,18 +69,15 @@ def fetch(
     quiet: bool = False,
     base_url: str = RAW,
 ) -> Fetched:
-    """Like `mesh_path`, and says where the bytes came from. quiet: no progress bar; base_url: another raw-file server."""
+    """Return the mesh file as `mesh_path` does, and its origin. quiet: no bar; base_url: another raw-file
+    server.
+    """
     entry = source(key)
     if not entry.obtainable:
         raise InputError(f"the mesh '{key}' cannot be had: {entry.notes}; leave it out")
     archive = downloads / entry.relative_path
     mesh = downloads / entry.relative_mesh_path
-    if (
-        entry.member
-        and _has_hash(mesh, entry.member_sha256)
-        or not entry.member
-        and _has_hash(mesh, entry.sha256)
-    ):
+    if _has_hash(mesh, entry.member_sha256 if entry.member else entry.sha256):
         return Fetched(mesh, "already there")
     origin = "already there"
     if not _has_hash(archive, entry.sha256):
@@ -89,9 +92,7 @@ def _bring(entry: Source, target: Path, mirror: Path | str | None, quiet: bool, 
     if asked is not None:
         folder = Path(asked).expanduser()
         if not folder.is_dir():
-            raise InputError(
-                f"the mirror {folder} is no folder; give the folder that holds <owner>+<repository>/<path>"
-            )
+            raise InputError(f"the mirror {folder} is no folder; give the folder that holds {MIRROR_LAYOUT}")
     elif (SIBLING_MIRROR / entry.relative_path).is_file():
         folder = SIBLING_MIRROR
     else:
@@ -162,8 +163,8 @@ def _receive(entry: Source, stream: BinaryIO, target: Path, origin: str, quiet: 
         if length > entry.bytes or digest.hexdigest() != entry.sha256:
             raise InputError(
                 f"{origin} is not the pinned file of '{entry.key}' (sha256 {entry.sha256} expected, "
-                f"{'a longer file' if length > entry.bytes else digest.hexdigest()} found), nothing was kept; "
-                "a proxy or a changed mirror may have altered it: fetch it from another place"
+                f"{'a longer file' if length > entry.bytes else digest.hexdigest()} found), "
+                "nothing was kept; a proxy or a changed mirror may have altered it: fetch it elsewhere"
             )
 
 

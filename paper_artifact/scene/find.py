@@ -6,36 +6,38 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, load_mesh
 from paper_artifact.scene.fetch import mesh_path
 from paper_artifact.scene.shapes import SHAPES, make_shape
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.sources import TABLE, sources
 
 POT = "pot"  # the ingested shell of the procedural hot pot, in the role of the paper's pot
 
 
 def find_mesh(shape: str, welded: bool = True) -> Mesh:
-    """Return the mesh of an analytic shape, of an external mesh's key (fetched when needed), of the pot, or of a mesh file.
+    """Return the mesh of an analytic shape, an external mesh's key (fetched if needed), the pot, or a mesh
+    file.
 
-    welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the name is none of
-    these, or the file cannot be had.
+    welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the
+    name is none of these, or the file cannot be had.
     """
     if shape in SHAPES:
         return make_shape(shape)
     if shape == POT:
-        from paper_artifact.ingest.hot_pot import (
-            pot_solid,
-        )  # scikit-image and compiled kernels: only when needed
+        # scikit-image and compiled kernels: only when needed
+        from paper_artifact.ingest.hot_pot import pot_solid
 
         return replace(pot_solid().shell, name=shape)
-    if shape in sources():
+    # Without a checkout there is no table; the study's own names are worth its error, others may be files.
+    if (TABLE.is_file() or shape_row(shape)) and shape in sources():
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
     if Path(shape).suffix or Path(shape).is_file():
         return load_mesh(Path(shape), welded=welded)
     raise InputError(
-        f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, a key of `python -m paper_artifact fetch --list`, "
-        "or the path of a mesh file"
+        f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, "
+        "a key of `python -m paper_artifact fetch --list`, or the path of a mesh file"
     )
 
 

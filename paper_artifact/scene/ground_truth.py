@@ -14,7 +14,10 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
 def background_colour(name: str) -> np.ndarray:
-    """The RGB colour (3,) float32 in [0,1] of a background name. Raises InputError for any but white and black."""
+    """Return the RGB colour (3,) float32 in [0,1] of a background name.
+
+    Raises InputError for any but white and black.
+    """
     if name not in BACKGROUNDS:
         raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}")
     return np.array(BACKGROUNDS[name], dtype=np.float32)
@@ -23,10 +26,11 @@ def background_colour(name: str) -> np.ndarray:
 def render_ground_truth(
     mesh: Mesh, camera: Camera, background: np.ndarray, supersample: int = 4, texture_frequency: float = 1.0
 ) -> np.ndarray:
-    """Render the textured mesh as an image (H,W,3) float32 in [0,1].
+    """Return the image (H,W,3) float32 in [0,1] of the textured mesh.
 
-    The scene is rasterized at `supersample` times the camera's resolution, coloured at each sample's surface position
-    (world units, perspective-correct), composited over `background` (3,), and averaged over boxes of supersample².
+    The scene is rasterized at `supersample` times the camera's resolution, coloured at each sample's surface
+    position (world units, perspective-correct), composited over `background` (3,), and averaged over boxes of
+    supersample².
     """
     matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
     clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from paper_artifact.errors import InputError
+from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
@@ -24,32 +23,29 @@ HOLDOUT_EVERY = 8
 class Scene:
     """A scene as the trainer sees it; `n` views in the order of their names.
 
-    images (n,H,W,3) float32 in [0,1], row 0 on top; world_to_clip (n,4,4) float32 (see `cameras.world_to_clip`);
-    camera_centres (n,3), points (P,3) float32, world units; background (3,) float32 in [0,1]; train (k,), holdout (m,)
-    int64 view indices: every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup. `radius` is the
-    scene's bounding radius in world units, the unit of learning rates and of the near and far planes.
+    Every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup.
     """
 
-    path: Path
-    names: tuple[str, ...]
-    images: np.ndarray
-    world_to_clip: np.ndarray
-    camera_centres: np.ndarray
-    background: np.ndarray
-    points: np.ndarray
-    train: np.ndarray
-    holdout: np.ndarray
-    radius: float = 1.0
+    path: Path  # its folder
+    names: tuple[str, ...]  # of the images' files
+    images: np.ndarray  # (n,H,W,3) float32 in [0,1], row 0 on top
+    world_to_clip: np.ndarray  # (n,4,4) float32, see `cameras.world_to_clip`
+    camera_centres: np.ndarray  # (n,3) float32, world units
+    background: np.ndarray  # (3,) float32 RGB in [0,1]
+    points: np.ndarray  # (P,3) float32, the SfM cloud, world units
+    train: np.ndarray  # (k,) int64, indices of the views to train on
+    holdout: np.ndarray  # (m,) int64, indices of the views held out
+    radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
 
 
 def load_scene(path: Path | str) -> Scene:
-    """Read the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
+    """Return the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
 
-    Background and radius come from scene.json where there is one; else the background is white and the radius half the
-    diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
+    Background and radius come from scene.json where there is one; else the background is white and the radius
+    half the diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
 
-    Raises InputError for missing or damaged files, images of unequal size or of another aspect than their camera,
-    fewer than two views, an SfM cloud of fewer than four points.
+    Raises InputError for missing or damaged files, images of unequal size or of another aspect than their
+    camera, fewer than two views, an SfM cloud of fewer than four points.
     """
     path = Path(path)
     if not path.is_dir():
@@ -72,7 +68,7 @@ def load_scene(path: Path | str) -> Scene:
     cameras = [model.camera(image) for image in order]
     images = [
         _read_image(path / "images" / name, camera.width / camera.height, background)
-        for name, camera in zip(names, cameras)
+        for name, camera in zip(names, cameras, strict=True)
     ]
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
@@ -96,7 +92,7 @@ def load_scene(path: Path | str) -> Scene:
 
 
 def load_ground_truth(path: Path | str) -> Mesh:
-    """The mesh that the scene in the folder `path` was made of, world units.
+    """Return the mesh that the scene in the folder `path` was made of, world units.
 
     Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
     """
@@ -107,19 +103,9 @@ def load_ground_truth(path: Path | str) -> Mesh:
             "their surface; make one of a mesh"
         )
     try:
-        # Opened here, because numpy leaves the file open when it is no sound archive.
-        with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as stored:
-            vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+        stored = load_npz(file)
+        vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
+    except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
@@ -152,7 +138,10 @@ def _description(path: Path) -> dict:
 
 
 def _cloud_radius(positions: np.ndarray) -> float:
-    """Half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers. World units."""
+    """Return half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers.
+
+    World units.
+    """
     low, high = np.percentile(positions, [1, 99], axis=0)
     radius = float(np.linalg.norm(high - low)) / 2
     if radius <= 0:
@@ -161,7 +150,7 @@ def _cloud_radius(positions: np.ndarray) -> float:
 
 
 def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """One image (H,W,3) float32 in [0,1]; `aspect` is the camera's width / height, resized copies are welcome."""
+    """Return an image (H,W,3) float32 in [0,1]; aspect: the camera's width / height, which it must have."""
     try:
         with Image.open(file) as opened:
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:

@@ -1,7 +1,7 @@
 """The paper's analytic shapes as closed, outward-oriented triangle meshes with known Betti numbers.
 
-The paper prints no parameters; those here were inferred by matching its published margins (documentation of each
-builder). All are in world units, centred at the origin.
+The paper prints no parameters; those here were inferred by matching its published margins (documentation of
+each builder). All are in world units, centred at the origin.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BOWL_RIMS = {"bowl_narrow": 0.14, "bowl_wide": 0.50}
 
 
 def make_shape(name: str) -> Mesh:
-    """Return the analytic shape `name` (one of SHAPES) as a welded Mesh in world units with its Betti numbers.
+    """Return the analytic shape `name` (one of SHAPES) as a welded Mesh, world units, with its Betti numbers.
 
     Raises InputError for an unknown name.
     """
@@ -33,18 +33,20 @@ def make_shape(name: str) -> Mesh:
 
 
 def sphere() -> Mesh:
-    """Unit sphere: icosphere of 5 subdivisions (20,480 faces, within 3e-4 of the sphere); D = 2·sqrt(3)."""
+    """Return the unit sphere, an icosphere of 20,480 faces within 3e-4 of the sphere; D = 2·sqrt(3)."""
     return checked_mesh(*_icosphere(SPHERE_SUBDIVISIONS), "sphere", (1, 0, 1))
 
 
 def cube() -> Mesh:
-    """Cube of side 1 (12 faces); D = sqrt(3)."""
+    """Return the cube of side 1 (12 faces); D = sqrt(3)."""
     box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
     return checked_mesh(box.vertices, box.faces, "cube", (1, 0, 1))
 
 
 def cylinder(segments: int = 96) -> Mesh:
-    """Closed cylinder, radius 1 and height 2 along z. The paper prints no margin for it: this one is our choice."""
+    """Return the closed cylinder of radius 1, height 2 along z: our choice, the paper prints no margin for
+    it.
+    """
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate(
@@ -66,7 +68,7 @@ def cylinder(segments: int = 96) -> Mesh:
 
 
 def torus(around: int = 192, tube: int = 72) -> Mesh:
-    """Torus with major radius 1 and tube radius .38, axis z (27,648 faces)."""
+    """Return the torus with major radius 1 and tube radius .38, axis z (27,648 faces)."""
     phi = np.repeat(2 * np.pi * np.arange(around)[:, None] / around, tube, axis=1)
     theta = np.repeat(2 * np.pi * np.arange(tube)[None, :] / tube, around, axis=0)
     vertices = _torus_points(phi, theta, TORUS_TUBE).reshape(-1, 3)
@@ -75,7 +77,7 @@ def torus(around: int = 192, tube: int = 72) -> Mesh:
 
 
 def two_spheres() -> Mesh:
-    """Two unit spheres, centres on the x axis, 1.6 apart from surface to surface: D = 6.274.
+    """Return two unit spheres, centres on the x axis, 1.6 apart from surface to surface: D = 6.274.
 
     A gap of at least 1.6 r is what the paper's component margin asks for (measured: H0 margin 2.58 of 2.61).
     """
@@ -90,16 +92,17 @@ def two_spheres() -> Mesh:
 
 
 def double_torus(around: int = 160, tube: int = 36) -> Mesh:
-    """Boundary of the union of two tori, major radius 1, tube .30, axes z, centres (±1, 0, 0): genus 2, D = 5.318.
+    """Return the boundary of the union of two tori, radii 1 and .30, centres (±1, 0, 0): genus 2, D = 5.318.
 
-    The union is symmetric in x = 0, and its half x ≤ 0 is the torus at (-1, 0, 0) without the part at x > 0, which
-    lies within the other torus (|x| > 0 puts every point nearer to the centre circle on its own side, the circles
-    being tangent at the origin). That half is meshed in the torus' own angles: at tube angle theta the ring angle
-    phi runs from phi0 to 2 pi - phi0, cos phi0 = 1/(1 + .3 cos theta) on the outer half, where the tube meets x = 0, and
-    phi0 = 0 on the inner half. Vertices lie on the surface, the crease at x = 0 is made of mesh edges.
+    The union is symmetric in x = 0, and its half x ≤ 0 is the torus at (-1, 0, 0) without the part at x > 0,
+    which lies within the other torus (|x| > 0 puts every point nearer to the centre circle on its own side,
+    the circles being tangent at the origin). That half is meshed in the torus' own angles: at tube angle
+    theta the ring angle phi runs from phi0 to 2 pi - phi0, cos phi0 = 1/(1 + .3 cos theta) on the outer half,
+    where the tube meets x = 0, and phi0 = 0 on the inner half. Vertices lie on the surface, the crease at x =
+    0 is made of mesh edges.
     """
-    # Outer half in uniform steps of t with theta = pi/2·cos(t): dense at the crease's two tips, where phi0 grows like
-    # sqrt(pi/2 - theta). Inner half in uniform steps of theta.
+    # Outer half in uniform steps of t, theta = pi/2·cos(t): dense at the crease's two tips, where phi0 grows
+    # like sqrt(pi/2 - theta). Inner half in uniform steps of theta.
     outer = np.pi / 2 * np.cos(np.pi * np.arange(tube + 1) / tube)
     inner = -np.pi / 2 - np.pi * np.arange(1, tube) / tube
     theta = np.concatenate([outer, inner])
@@ -126,8 +129,11 @@ def double_torus(around: int = 160, tube: int = 36) -> Mesh:
 
 
 def bowl(name: str) -> Mesh:
-    """Unit icosphere of 4 subdivisions with an opening of rim radius a (.14 or .50) at +z: the faces whose centroid has
-    z > sqrt(1 - a²) are dropped. Topologically a disc, while samples of it read as a void."""
+    """Return the unit icosphere of 4 subdivisions with an opening of rim radius a (.14 or .50) at +z.
+
+    The faces whose centroid has z > sqrt(1 - a²) are dropped. It is a disc, while samples of it read as a
+    void.
+    """
     vertices, faces = _icosphere(BOWL_SUBDIVISIONS)
     kept = vertices[faces].mean(axis=1)[:, 2] <= np.sqrt(1 - BOWL_RIMS[name] ** 2)
     return checked_mesh(vertices, faces[kept], name, (1, 0, 0))
@@ -139,13 +145,15 @@ def _icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _torus_points(phi: np.ndarray, theta: np.ndarray, tube: float) -> np.ndarray:
-    """Points (..., 3) at ring angle phi and tube angle theta (radians) of the torus of major radius 1 around z."""
+    """Return points (..., 3) at ring angle phi and tube angle theta (radians) of a torus of radius 1 around
+    z.
+    """
     ring = 1 + tube * np.cos(theta)
     return np.stack([ring * np.cos(phi), ring * np.sin(phi), tube * np.sin(theta)], axis=-1)
 
 
 def _grid_faces(index: np.ndarray, wrap_rows: bool) -> np.ndarray:
-    """Two triangles per cell of a grid of vertex indices (rows, columns); columns wrap around, rows when asked to."""
+    """Return two triangles per cell of a grid of vertex indices; columns wrap around, rows when asked to."""
     row, column = (np.roll(index, -1, axis=0), np.roll(index, -1, axis=1))
     both = np.roll(row, -1, axis=1)
     cells = [block if wrap_rows else block[:-1] for block in (index, row, both, column)]

@@ -1,7 +1,7 @@
 """The table of external meshes: data_scripts/meshes.csv, one row per file at a pinned commit.
 
-The project ships no mesh. `source("spot")` says where spot comes from, what its bytes hash to and under which licence
-it stands; `paper_artifact.scene.fetch` brings the file.
+The project ships no mesh. `source("spot")` says where spot comes from, what its bytes hash to and under which
+licence it stands; `paper_artifact.scene.fetch` brings the file.
 """
 
 from __future__ import annotations
@@ -21,25 +21,24 @@ ROLES = ("used", "set aside", "rejected", "comparison", "not obtainable")
 
 @dataclass(frozen=True)
 class Source:
-    """One external file. `sha256` (hex) and `bytes` are those of the file as its repository has it.
+    """One external file: a row of the table.
 
-    role: "used", "set aside" and "rejected" are the paper's dispositions; "comparison" files are other copies, kept to
-    check the first three; "not obtainable" has no repository. member: for a zip, the file inside that holds the mesh,
-    with `member_sha256` of its own; else both are empty.
+    Of the roles, "used", "set aside" and "rejected" are the paper's dispositions; "comparison" files are
+    other copies, kept to check the first three; "not obtainable" has no repository.
     """
 
-    key: str
-    name: str
-    repository: str
-    commit: str
-    path: str
-    sha256: str
-    bytes: int
-    licence: str
-    role: str
-    member: str
-    member_sha256: str
-    notes: str
+    key: str  # its name on the command line
+    name: str  # in words
+    repository: str  # owner/name on GitHub
+    commit: str  # full hash
+    path: str  # of the file in the repository
+    sha256: str  # of the file, hex
+    bytes: int  # of the file
+    licence: str  # as its source states it
+    role: str  # one of ROLES
+    member: str  # of a zip: the file inside that holds the mesh; else ""
+    member_sha256: str  # of that file, hex; else ""
+    notes: str  # where it comes from, or why it cannot be had
 
     @property
     def obtainable(self) -> bool:
@@ -48,12 +47,12 @@ class Source:
 
     @property
     def relative_path(self) -> Path:
-        """<owner>+<repository>/<path>: where the file lies below a mirror and below the downloads folder."""
+        """Where the file lies below a mirror and below the downloads folder: <owner>+<repository>/<path>."""
         return Path(self.repository.replace("/", "+")) / self.path
 
     @property
     def relative_mesh_path(self) -> Path:
-        """Where the mesh itself lies below the downloads folder: the file, or its unpacked member beside it."""
+        """Where the mesh lies below the downloads folder: the file, or its unpacked member beside it."""
         return (
             self.relative_path.with_name(PurePosixPath(self.member).name)
             if self.member
@@ -63,13 +62,16 @@ class Source:
 
 @lru_cache(maxsize=None)
 def sources(table: Path = TABLE) -> dict[str, Source]:
-    """Read the table (key → Source, in file order). Raises InputError when it is missing or a row does not parse."""
+    """Return the table (key → Source, in file order).
+
+    Raises InputError when it is missing or a row does not parse.
+    """
     try:
         with open(table, newline="", encoding="utf-8") as handle:
             rows = list(csv.DictReader(handle))
     except OSError as error:
         raise InputError(
-            f"cannot read the mesh table {table}: {error.strerror}; work in a checkout of the repository"
+            f"cannot read the mesh table {table}: {error.strerror}; external meshes need a checkout of the repository"
         ) from error
     result = {}
     for number, row in enumerate(rows, start=2):
@@ -81,7 +83,8 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
             ) from error
         if entry.role not in ROLES:
             raise InputError(
-                f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; use one of {', '.join(ROLES)}"
+                f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; "
+                f"use one of {', '.join(ROLES)}"
             )
         result[entry.key] = entry
     return result
@@ -93,6 +96,7 @@ def source(key: str, table: Path = TABLE) -> Source:
     if key not in known:
         near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or list(known)
         raise InputError(
-            f"no mesh is called '{key}'; known are {', '.join(near)} (all: python -m paper_artifact fetch --list)"
+            f"no mesh is called '{key}'; known are {', '.join(near)} "
+            "(all: python -m paper_artifact fetch --list)"
         )
     return known[key]

@@ -1,7 +1,8 @@
-"""A procedural solid texture: colour as a smooth function of position, so that every part of a surface is told apart.
+"""A procedural solid texture: colour as a smooth function of position, so that places can be told apart.
 
-The photometric loss needs contrast everywhere, at several scales, but nothing finer than a soup of about a thousand
-triangles can show: the waves are about 2, 1 and .5 bounding radii long, and their sum is folded once through a sine.
+The photometric loss needs contrast everywhere, at several scales, but nothing finer than a soup of about a
+thousand triangles can show: the waves are about 2, 1 and .5 bounding radii long, and their sum is folded once
+through a sine.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ DARKEST, BRIGHTEST = 0.08, 0.92  # stays apart from black and white backgrounds
 def solid_texture(
     positions: np.ndarray, centre: np.ndarray, radius: float, frequency: float = 1.0
 ) -> np.ndarray:
-    """Colours (n,3) float32 in [.08, .92] at world positions (n,3).
+    """Return colours (n,3) float32 in [.08, .92] at world positions (n,3).
 
-    `centre` (3,) and `radius` are the scene's bounding sphere in world units, so that the pattern follows its scale;
-    `frequency` multiplies every wave number. Deterministic, independent of light and view.
+    `centre` (3,) and `radius` are the scene's bounding sphere in world units, so that the pattern follows its
+    scale; `frequency` multiplies every wave number. Deterministic, independent of light and view.
     """
     vectors, phases, amplitudes = _waves()
     local = ((np.asarray(positions) - centre) * (frequency / radius)).astype(np.float32)
@@ -36,13 +37,13 @@ def solid_texture(
 
 
 def mesh_texture(positions: np.ndarray, mesh: Mesh, frequency: float = 1.0) -> np.ndarray:
-    """`solid_texture` with the mesh's own bounding sphere: colours (n,3) float32 at world positions (n,3)."""
+    """Return `solid_texture` (n,3) float32 at world positions (n,3), for the mesh's own bounding sphere."""
     return solid_texture(positions, mesh.centre, mesh.radius, frequency)
 
 
 @lru_cache(maxsize=1)
 def _waves() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Wave vectors (3,k,3), phases (3,k) and amplitudes (k,), float32: the same on every machine."""
+    """Return wave vectors (3,k,3), phases (3,k) and amplitudes (k,), float32: the same on every machine."""
     generator = stream(0, "solid texture")
     count = WAVES_PER_OCTAVE * len(OCTAVES)
     directions = generator.standard_normal((3, count, 3))

@@ -8,8 +8,8 @@ without touching the loop: `prune_weight` turns the visible-pixel counts into th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 import torch
@@ -119,7 +119,7 @@ class Resampler:
         if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
             raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
         origins = np.arange(len(corners))
-        for matrix, wanted in zip(world_to_clip, chosen):
+        for matrix, wanted in zip(world_to_clip, chosen, strict=True):
             corners, origins = split_long_edges(
                 corners,
                 origins,

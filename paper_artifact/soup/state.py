@@ -7,14 +7,16 @@ features mean nothing without it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import atomic_path
+from paper_artifact.files import atomic_path, load_npz
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
 
@@ -32,7 +34,7 @@ class Soup:
     def __len__(self) -> int:
         return len(self.vertices)
 
-    def select(self, triangles: torch.Tensor, vertices: torch.Tensor | None = None) -> "Soup":
+    def select(self, triangles: torch.Tensor, vertices: torch.Tensor | None = None) -> Soup:
         """Return a new soup of the triangles with these indices (K,) int64, features carried along; vertices
         (K,3,3) replace positions."""
         with torch.no_grad():
@@ -41,7 +43,7 @@ class Soup:
                 moved.clone(), self.features[triangles].clone(), self.opacity[triangles].clone(), self.mlp
             ).trainable()
 
-    def trainable(self) -> "Soup":
+    def trainable(self) -> Soup:
         """Return the same soup with every tensor a leaf that requires a gradient."""
         for tensor in (self.vertices, self.features, self.opacity, *self.mlp):
             tensor.requires_grad_(True)
@@ -59,9 +61,17 @@ class Soup:
         return torch.sigmoid(self.opacity.detach()).cpu().numpy()
 
 
+def soup_of(tensors: Sequence[torch.Tensor]) -> Soup:
+    """Return the soup of the tensors vertices, features, opacity and the MLP's, in this order."""
+    vertices, features, opacity, *mlp = tensors
+    return Soup(vertices, features, opacity, tuple(mlp))
+
+
 def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
-    """Return the shading MLP's start: Kaiming-uniform hidden layers, Xavier-uniform last, zero biases
-    (DiffSoup `multires.py`)."""
+    """Return the shading MLP's start (DiffSoup `multires.py`).
+
+    Kaiming-uniform hidden layers, Xavier-uniform last one, zero biases.
+    """
     draws = stream(seed, "mlp")
     tensors = []
     for shape in MLP_SHAPES:
@@ -75,14 +85,15 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
 
 
 def save_soup(path: Path | str, soup: Soup) -> None:
-    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically. Raises InputError when
-    not writable."""
-    arrays = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
-    arrays |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
+    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically.
+
+    Raises InputError when the folder is not writable.
+    """
+    tensors = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
+    tensors |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
+    arrays: dict[str, Any] = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
     with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:
-        np.savez_compressed(
-            handle, **{name: tensor.detach().cpu().numpy() for name, tensor in arrays.items()}
-        )
+        np.savez_compressed(handle, **arrays)
 
 
 def load_soup(path: Path | str) -> Soup:
@@ -91,23 +102,15 @@ def load_soup(path: Path | str) -> Soup:
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
-        with (
-            open(path, "rb") as handle,
-            np.load(handle) as data,
-        ):  # np.load alone leaks the handle of a damaged file
-            tensors = [
-                torch.from_numpy(data[name].astype(np.float32))
-                for name in ("vertices", "features", "opacity")
-            ]
-            mlp = tuple(
-                torch.from_numpy(data[f"mlp_{index}"].astype(np.float32)) for index in range(len(MLP_SHAPES))
-            )
-    except Exception as error:  # numpy raises many kinds for a damaged archive
+        data = load_npz(path)
+        names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
+        tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
-    shapes = [tuple(tensor.shape) for tensor in (*tensors, *mlp)]
+    shapes = [tuple(tensor.shape) for tensor in tensors]
     count = shapes[0][0] if shapes[0] else 0
     if count == 0 or shapes != [(count, 3, 3), (count, 3, FEATURES), (count, 3), *MLP_SHAPES]:
         raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
-    if not all(torch.isfinite(tensor).all() for tensor in (*tensors, *mlp)):
+    if not all(torch.isfinite(tensor).all() for tensor in tensors):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")
-    return Soup(*tensors, mlp)
+    return soup_of(tensors)

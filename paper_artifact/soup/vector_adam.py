@@ -6,6 +6,8 @@ One step size per vector, so the update commutes with rotations of the coordinat
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 
 
@@ -13,11 +15,17 @@ class VectorAdam(torch.optim.Optimizer):
     """Optimizer of tensors (…, 3): second moment = running mean of the squared gradient norm, betas (.9,
     .999), eps 1e-8."""
 
-    def __init__(self, parameters, lr: float, betas: tuple[float, float] = (0.9, 0.999), eps: float = 1e-8):
+    def __init__(
+        self,
+        parameters: Iterable[torch.Tensor],
+        lr: float,
+        betas: tuple[float, float] = (0.9, 0.999),
+        eps: float = 1e-8,
+    ) -> None:
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
 
     @torch.no_grad()
-    def step(self, closure=None):
+    def step(self, closure: None = None) -> None:  # type: ignore[override]
         """Take one step for every parameter with a gradient; a closure is not supported and must be None."""
         if closure is not None:
             raise ValueError("VectorAdam takes no closure")

@@ -1,14 +1,18 @@
-"""Blindness probes (App. A (1), Table S1): a topologically right A and a wrong B that Chamfer cannot tell apart.
+"""Blindness probes (App. A, Table S1): a topologically right A and a wrong B, alike to Chamfer.
 
-Three cases. In each, B has a defect of fixed size and A a benign deformation whose size is found by bisection, so that both have
-the same Chamfer distance to the ground truth. The paper gives no parameters; the defects here were matched to its printed values.
+Three cases. In each, B has a defect of fixed size and A a benign deformation whose size is found by
+bisection, so that both have the same Chamfer distance to the ground truth. The paper gives no parameters; the
+defects here were matched to its printed values.
 
-  thin handle (H1): unit sphere; B = with a ring (a torus, major radius .495, tube .055) through its pole; A = with a Gaussian
-  bump bridge (H0): two unit spheres 1.4 apart; B = with an open tube of radius .1137 between them; A = scaled about the centre
+  thin handle (H1): unit sphere; B = with a ring (a torus, major radius .495, tube .055) through its pole;
+                    A = with a Gaussian bump
+  bridge (H0): two unit spheres 1.4 apart; B = with an open tube of radius .1137 between them; A = scaled
+               about the centre
   puncture (H2): unit sphere; B = without the cap of opening angle .591; A = scaled about the centre
 
-Chamfer here is the SUM of both directions' mean distances, divided by D, the ground truth's bounding-box diagonal (Table 1 uses
-the mean). Samples are uniform by area on the surfaces themselves, 40,000 a cloud; all three clouds are independent.
+Chamfer here is the SUM of both directions' mean distances, divided by D, the ground truth's bounding-box
+diagonal (Table 1 uses the mean). Samples are uniform by area on the surfaces themselves, 40,000 a cloud; all
+three clouds are independent.
 """
 
 from __future__ import annotations
@@ -25,52 +29,52 @@ from paper_artifact.evaluate.geometry import chamfer_sum, point_distances
 from paper_artifact.randomness import stream
 from paper_artifact.topology.floor import measurement_floor, significant
 
-SAMPLES = 40_000
-HANDLE_MAJOR, HANDLE_TUBE, BUMP_WIDTH = 0.495, 0.055, 0.3
-GAP, BRIDGE_RADIUS = 1.4, 0.1137
-CAP_ANGLE = 0.591
+SAMPLES = 40_000  # a cloud
+# World units; the spheres' radius is 1.
+HANDLE_MAJOR, HANDLE_TUBE = 0.495, 0.055  # thin handle: the ring's radii
+BUMP_WIDTH = 0.3  # thin handle: standard deviation of A's bump
+GAP, BRIDGE_RADIUS = 1.4, 0.1137  # bridge: between the spheres; the tube's radius
+CAP_ANGLE = 0.591  # puncture: the cap's opening, radians from the axis
 TOLERANCE = 1e-3  # of Chamfer, relative: what "equal" means
+BISECTIONS = 60  # at most
 TABLE_SIZE = 4001  # points of the tabulated area of a surface of revolution
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
-    """One case, matched. truth, a, b: clouds (n,3) float64 world units; diagonal: of the ground truth; dimension: the
-    discriminating one; parameter: the size of A's deformation that bisection found (bump height, or scale)."""
+class BlindnessProbe:
+    """One case, matched: clouds (n,3) float64, world units."""
 
-    name: str
-    dimension: int
-    truth: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    diagonal: float
-    parameter: float
+    name: str  # one of CASES
+    dimension: int  # the discriminating one
+    truth: np.ndarray  # sample of the ground truth
+    a: np.ndarray  # sample of the topologically right one
+    b: np.ndarray  # sample of the wrong one
+    diagonal: float  # of the ground truth's bounding box, world units
+    parameter: float  # size of A's deformation that bisection found: bump height, or scale
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What the metrics say about one cloud against the ground truth. chamfer_sum, hausdorff95: / D; bars (k,2): every bar in the
-    discriminating dimension, radius / D; floor: the cloud's own; target (m,2): the ground truth's significant bars; bottleneck:
-    of the significant bars to those."""
+    """What the metrics say about one cloud against the ground truth; all lengths divided by D."""
 
-    chamfer_sum: float
-    hausdorff95: float
-    bars: np.ndarray
-    floor: float
-    target: np.ndarray
-    bottleneck: float
+    chamfer_sum: float  # both directions' mean distances, added
+    hausdorff95: float  # 95th percentile of the distances
+    bars: np.ndarray  # (k,2) every bar in the discriminating dimension, radii
+    floor: float  # the cloud's own
+    target: np.ndarray  # (m,2) the ground truth's significant bars
+    bottleneck: float  # of the significant bars to the target
 
     @property
     def significant(self) -> np.ndarray:
-        """The bars above the floor (l,2)."""
+        """Return the bars above the floor (l,2)."""
         return self.bars[significant(self.bars, self.floor)]
 
 
 CASES = ("thin handle", "bridge", "puncture")
 
 
-def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> Probe:
-    """Return the case `name` (one of CASES) with A bisected to B's Chamfer; a function of (name, seed, samples).
+def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> BlindnessProbe:
+    """Return the case `name` (one of CASES) with A bisected to B's Chamfer, a function of all arguments.
 
     Raises InputError for another name, or when no size of A's deformation gives B's Chamfer.
     """
@@ -89,10 +93,18 @@ def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> Probe:
         TOLERANCE * wanted,
         name,
     )
-    return Probe(name, dimension, truth, a_of(draws["a"], parameter), b, diagonal, parameter)
+    return BlindnessProbe(
+        name=name,
+        dimension=dimension,
+        truth=truth,
+        a=a_of(draws["a"], parameter),
+        b=b,
+        diagonal=diagonal,
+        parameter=parameter,
+    )
 
 
-def read(probe: Probe, method: str = "fast") -> tuple[Reading, Reading]:
+def read(probe: BlindnessProbe, method: str = "fast") -> tuple[Reading, Reading]:
     """Return the readings of A and of B."""
     truth, floor = _bars(probe.truth, probe, method)
     target = truth[significant(truth, floor)]
@@ -102,31 +114,41 @@ def read(probe: Probe, method: str = "fast") -> tuple[Reading, Reading]:
         distances = point_distances(cloud, probe.truth, probe.diagonal)
         distance = bottleneck(bars[significant(bars, floor)], target)
         readings.append(
-            Reading(distances["chamfer_sum"], distances["hausdorff95"], bars, floor, target, distance)
+            Reading(
+                chamfer_sum=distances["chamfer_sum"],
+                hausdorff95=distances["hausdorff95"],
+                bars=bars,
+                floor=floor,
+                target=target,
+                bottleneck=distance,
+            )
         )
     return readings[0], readings[1]
 
 
-def noise_floor(probe: Probe, seed: int = 0) -> float:
-    """Return the Chamfer sum / D of a second, independent sample of the ground truth itself: what a perfect surface reads."""
+def noise_floor(probe: BlindnessProbe, seed: int = 0) -> float:
+    """Return the Chamfer sum / D of a second sample of the ground truth: what a perfect surface reads."""
     truth_of = _CASES[probe.name]()[0]
     again = truth_of(stream(seed, f"probe-{probe.name}-again").random((5, len(probe.truth))))
     return chamfer_sum(again, probe.truth, probe.diagonal)
 
 
-def _bars(cloud: np.ndarray, probe: Probe, method: str) -> tuple[np.ndarray, float]:
-    return diagram_of(cloud, probe.diagonal, method)[probe.dimension], measurement_floor(
-        cloud, probe.diagonal
-    )
+def _bars(cloud: np.ndarray, probe: BlindnessProbe, method: str) -> tuple[np.ndarray, float]:
+    bars = diagram_of(cloud, probe.diagonal, method)[probe.dimension]
+    return bars, measurement_floor(cloud, probe.diagonal)
 
 
 def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance: float, name: str) -> float:
-    """Return a parameter in [low, high] where |excess| <= tolerance; excess grows with the parameter up to sampling noise."""
+    """Return a parameter in [low, high] where |excess| <= tolerance.
+
+    The excess grows with the parameter, up to sampling noise. Raises InputError when the bounds hold no root.
+    """
     if excess(low) > tolerance or excess(high) < -tolerance:
         raise InputError(
-            f"no deformation of A between {low} and {high} has B's Chamfer in the probe {name!r}; change its bounds"
+            f"no deformation of A between {low} and {high} has B's Chamfer in the probe {name!r}; "
+            "change its bounds"
         )
-    for _ in range(60):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
         value = excess(middle)
         if abs(value) <= tolerance:
@@ -142,10 +164,10 @@ def revolution(
     start: float = 0.0,
     end: float = np.pi,
 ) -> np.ndarray:
-    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z; u, v (n,) uniform in
-    [0,1).
+    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z.
 
-    The area element r sqrt(r² + r'²) sin is tabulated and inverted, so that the points move continuously with `radius`.
+    u, v (n,): uniform in [0,1). The area element r sqrt(r² + r'²) sin is tabulated and inverted, so that the
+    points move continuously with `radius`.
     """
     angle = np.linspace(start, end, TABLE_SIZE)
     r = radius(angle)
@@ -169,10 +191,12 @@ def sphere_points(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _handle_points(draws: np.ndarray) -> np.ndarray:
-    """The outside of sphere ∪ ring: both surfaces, uniform by area, without the part of one inside the other; (n,3)."""
+    """Return points (n,3) on the outside of sphere ∪ ring, uniform by area; draws (5,n) uniform in [0,1)."""
     ring_area = 4 * np.pi**2 * HANDLE_MAJOR * HANDLE_TUBE
     kept, rounds = [], 0
     total = draws.shape[1]
+    # Points inside the other surface are drawn again. A case is a function of its draws alone, so their fifth
+    # row, which is for nothing else, names the generator of the further rounds: 53 random bits are its key.
     generator = np.random.Generator(np.random.Philox(key=int(draws[4, 0] * 2**53)))
     while sum(map(len, kept)) < total:
         d = draws if rounds == 0 else generator.random((5, total))
@@ -185,9 +209,7 @@ def _handle_points(draws: np.ndarray) -> np.ndarray:
         )
         on_ring = d[2] * (ring_area + 4 * np.pi) < ring_area
         points = np.where(on_ring[:, None], ring, sphere)
-        by_area = (
-            d[3] * (HANDLE_MAJOR + HANDLE_TUBE) < radial
-        )  # rejection: the inside of a ring has less area
+        by_area = d[3] * (HANDLE_MAJOR + HANDLE_TUBE) < radial  # the inside of a ring has less area
         around = np.hypot(points[:, 0], points[:, 2] - 1) - HANDLE_MAJOR
         hidden = np.where(
             on_ring, np.linalg.norm(points, axis=1) < 1, np.hypot(around, points[:, 1]) < HANDLE_TUBE

@@ -1,62 +1,68 @@
-"""The candidate disposition of the group wave (paper, Table S12): every candidate's certificate beside what the paper says."""
+"""The candidate disposition of the group wave (paper, Table S12): every candidate's certificate beside what
+the paper says.
+"""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY
 from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.sources import sources
 
-# key: (the paper's certificate column, the paper's decision)
-PUBLISHED = {
-    "rocker-arm": ("pass (g1)", "loop group"),
-    "eight": ("pass (g2)", "loop group"),
-    "armadillo": ("pass (g0)", "void group"),
-    "horse": ("pass (g0)", "void group"),
-    "cheburashka": ("pass (g0)", "set aside"),
-    "eight-dense": ("pass (g2)", "set aside"),
-    "beast": ("fail: non-manifold", "-"),
-    "cow": ("fail: odd χ", "-"),
-    "max-planck": ("fail: 161 open edges", "-"),
-    "ogre": ("fail: 200 open edges", "-"),
-    "teapot": ("fail: 160 open edges", "-"),
-}
+TABLE = REPOSITORY / "results" / "published" / "table_S12.csv"
 
 
 @dataclass(frozen=True)
 class Disposition:
-    """One candidate: the paper's certificate and decision, ours in the same words, whether they agree, and our certificate.
+    """One candidate, the paper's words and ours."""
 
-    certificate and agrees are None for the candidate that could not be had.
+    key: str  # of data_scripts/meshes.csv
+    published: str  # the paper's certificate, "pass (g1)" or "fail: 200 open edges"
+    decision: str  # what the paper does with it, "-" where it fails
+    measured: str  # our certificate in the same words
+    agrees: bool | None  # None for the candidate that cannot be had
+    certificate: Certificate | None  # ours, of the file as it is
+
+
+def candidates() -> dict[str, tuple[str, str]]:
+    """Return {key: (the paper's certificate, its decision)}. Raises InputError when the published table
+    cannot be read."""
+    try:
+        with open(TABLE, newline="", encoding="utf-8") as handle:
+            rows = list(csv.DictReader(handle))
+    except OSError as error:
+        raise InputError(
+            f"cannot read {TABLE}: {error.strerror}; work in a checkout of the repository"
+        ) from error
+    found = {}
+    for row in rows:
+        why = (
+            f" (g{row['genus']})"
+            if row["certificate"] == "pass"
+            else f": {row['reason'].replace('chi', 'χ')}"
+        )
+        found[row["shape"]] = row["certificate"] + why, row["decision"] or "-"
+    return found
+
+
+def dispositions(keys: Iterable[str] | None = None) -> list[Disposition]:
+    """Return the dispositions of these candidates (None: all), certified now, fetched when needed.
+
+    Raises InputError for a mesh that cannot be had though the table of sources says where it is.
     """
-
-    key: str
-    published: str
-    decision: str
-    measured: str
-    agrees: bool | None
-    certificate: Certificate | None
-
-
-def dispositions(keys: tuple[str, ...] = tuple(PUBLISHED)) -> list[Disposition]:
-    """Certify the candidates `keys` (fetched when needed). Raises InputError for an unknown key or a mesh that cannot be had."""
-    rows = []
-    for key in keys:
-        published, decision = PUBLISHED[key]
-        if key == "max-planck":
-            rows.append(
-                Disposition(
-                    key,
-                    published,
-                    decision,
-                    "not obtainable: none of nine public copies has 161 open edges",
-                    None,
-                    None,
-                )
-            )
-            continue
-        certificate = certify_mesh(find_mesh(key, welded=False))
-        rows.append(Disposition(key, published, decision, *_compared(certificate, published), certificate))
+    paper, rows = candidates(), []
+    for key in paper if keys is None else keys:
+        if not sources()[key].obtainable:
+            words, agrees, certificate = f"not obtainable: {sources()[key].notes}", None, None
+        else:
+            certificate = certify_mesh(find_mesh(key, welded=False))
+            words, agrees = _compared(certificate, paper[key][0])
+        rows.append(Disposition(key, *paper[key], words, agrees, certificate))
     return rows
 
 
@@ -78,8 +84,8 @@ def disposition_text(rows: list[Disposition]) -> str:
     lines = [f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured"]
     for row in rows:
         betti = str(row.certificate.betti) if row.certificate else "-"
+        agrees = {True: "yes", False: "NO", None: "-"}[row.agrees]
         lines.append(
-            f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}"
-            f"{ {True: 'yes', False: 'NO', None: '-'}[row.agrees]:<8}{row.measured}"
+            f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}{agrees:<8}{row.measured}"
         )
     return "\n".join(lines)

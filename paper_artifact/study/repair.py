@@ -1,14 +1,15 @@
-"""The repair gate (paper §5 and App. C, Fig. S5): the loss alone, Adam on raw points, must repair four defective clouds.
+"""The repair gate (paper §5, App. C, Fig. S5): the loss alone, Adam on raw points, must repair four clouds.
 
   T1 punctured void: sphere without a cap of opening .5; the matched term must close the void (paper 8.8x)
   T2 spurious handle: sphere with a handle; the diagonal term must kill the extra loop
   T3 mis-spaced components: two spheres at gap .9, target gap 1.4 (paper 1229x)
-  T4 bridged merge: two spheres joined by a chain of 6 points: no significant live H0 bar against one target; only recruitment
-     has a gradient (paper 450x). The chain's links are longer than any spacing of the spheres
-  T4d dense bridge: the same with a chain of 24 points, denser than the spheres. Recruitment then tugs at a sphere's longest
-     edge and tears one point off: the diagram is repaired, the bridge is not
+  T4 bridged merge: two spheres joined by a chain of 6 points: no significant live H0 bar against one target;
+     only recruitment has a gradient (paper 450x). The chain's links are longer than any spacing of the
+     spheres
+  T4d dense bridge: the same with a chain of 24 points, denser than the spheres. Recruitment then tugs at a
+     sphere's longest edge and tears one point off: the diagram is repaired, the bridge is not
 
-The paper gives no parameters; these starts were inferred from its figures. Radii of all spheres are 1 world unit.
+The paper gives no parameters; these starts were inferred from its figures. All spheres have radius 1.
 """
 
 from __future__ import annotations
@@ -19,55 +20,61 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.topology.bundle import Bundle, build_bundle
 from paper_artifact.topology.floor import significant
 from paper_artifact.topology.loss import TopologyLoss
 
-CAP_OPENING = 0.5
-HANDLE_MAJOR, HANDLE_TUBE, HANDLE_HEIGHT = 0.8, 0.1, 1.1
-TARGET_GAP, LIVE_GAP, CHAIN, DENSE_CHAIN = 1.4, 0.9, 6, 24
+# World units; the spheres' radius is 1.
+CAP_OPENING = 0.5  # T1: radius of the cap's rim
+HANDLE_MAJOR, HANDLE_TUBE, HANDLE_HEIGHT = 0.8, 0.1, 1.1  # T2: the handle's radii, and height of its centre
+TARGET_GAP, LIVE_GAP = 1.4, 0.9  # T3: between the two spheres, wanted and at the start
+CHAIN, DENSE_CHAIN = 6, 24  # T4, T4d: points of the bridge
+ROUNDING = 1e-12  # a bottleneck below this is zero
+FINAL_RATE = 0.01  # the learning rate decays to this fraction
+REFRESH_EVERY = 10  # steps
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
-    """A start cloud (M,3) world units, its target at the same M, the dimension to repair, and Adam's settings."""
+class RepairProbe:
+    """A defective cloud, its target, and Adam's settings."""
 
-    name: str
-    start: np.ndarray
-    target: np.ndarray
-    bundle: Bundle
-    dimension: int
-    learning_rate: float
-    steps: int
+    name: str  # "T1" … "T4d"
+    start: np.ndarray  # (M,3) world units
+    target: np.ndarray  # (M,3) world units, at the same M
+    bundle: Bundle  # of the target
+    dimension: int  # to repair
+    learning_rate: float  # Adam's first
+    steps: int  # Adam's
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What a repair did. steps (k,); bottleneck (k,): distance of the significant bars in the probe's dimension to the target's
-    (L-infinity, radius / diagonal); significant (k,): their number; loss (k,); start, final (M,3) world units; recruited (k,):
-    bars recruited by the plan at that step."""
+    """What a repair did, at k recorded steps."""
 
-    name: str
-    steps: np.ndarray
-    bottleneck: np.ndarray
-    significant: np.ndarray
-    loss: np.ndarray
-    recruited: np.ndarray
-    start: np.ndarray
-    final: np.ndarray
+    name: str  # of the probe
+    steps: np.ndarray  # (k,)
+    bottleneck: np.ndarray  # (k,) distance of the significant bars to the target's, L∞, radius / diagonal
+    significant: np.ndarray  # (k,) number of significant bars in the probe's dimension
+    loss: np.ndarray  # (k,)
+    recruited: np.ndarray  # (k,) bars recruited by the plan of that step
+    start: np.ndarray  # (M,3) world units
+    final: np.ndarray  # (M,3) world units
 
     @property
     def factor(self) -> float:
-        """First bottleneck divided by the last; inf when the last is rounding (below 1e-12)."""
-        return (
-            float(self.bottleneck[0] / self.bottleneck[-1]) if self.bottleneck[-1] > 1e-12 else float("inf")
-        )
+        """Return the first bottleneck divided by the last; inf when the last is ROUNDING."""
+        first, last = self.bottleneck[0], self.bottleneck[-1]
+        return float(first / last) if last > ROUNDING else float("inf")
 
 
-def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
-    """Return probe "T1", "T2", "T3", "T4" or "T4d"; its clouds are a function of `seed`. Raises InputError for another name."""
+def make_probe(name: str, seed: int = 0, method: str = "fast") -> RepairProbe:
+    """Return probe "T1", "T2", "T3", "T4" or "T4d"; its clouds are a function of `seed`.
+
+    Raises InputError for another name.
+    """
     if name not in _PROBES:
         raise InputError(f"unknown repair probe {name!r}; choose one of {', '.join(_PROBES)}")
     start, target, dimension, learning_rate, steps = _PROBES[name](stream(seed, f"repair-{name}"))
@@ -75,11 +82,19 @@ def make_probe(name: str, seed: int = 0, method: str = "fast") -> Probe:
     # T2's target has no loop on purpose: every significant live one goes to the diagonal.
     choice = {"suppress": (1,), "dimensions": ()} if name == "T2" else {"dimensions": (dimension,)}
     bundle = build_bundle(target, diagonal, shape=name, seed=seed, method=method, **choice)
-    return Probe(name, start, target, bundle, dimension, learning_rate, steps)
+    return RepairProbe(
+        name=name,
+        start=start,
+        target=target,
+        bundle=bundle,
+        dimension=dimension,
+        learning_rate=learning_rate,
+        steps=steps,
+    )
 
 
 def repair(
-    probe: Probe,
+    probe: RepairProbe,
     *,
     steps: int | None = None,
     recruitment: bool = True,
@@ -88,19 +103,21 @@ def repair(
     method: str = "fast",
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
-    """Run the loss alone on the probe's points with Adam and return the trajectory; the plan is refreshed every 10 steps.
+    """Return the trajectory of the loss alone, with Adam on the probe's points.
 
-    steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every: a multiple of 10.
+    steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every:
+    a multiple of REFRESH_EVERY; progress: called with each step.
     """
-    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
-
     bundle, dimension = probe.bundle, probe.dimension
-    loss = TopologyLoss(bundle, refresh_every=10, recruitment=recruitment, seed=seed, method=method)
+    loss = TopologyLoss(
+        bundle, refresh_every=REFRESH_EVERY, recruitment=recruitment, seed=seed, method=method
+    )
     points = torch.tensor(probe.start, requires_grad=True)
     adam = torch.optim.Adam([points], lr=probe.learning_rate)
     total = probe.steps if steps is None else steps
-    # The trainer's own decay: Adam's momentum keeps a tugged point moving, so a constant rate cannot settle below about one step.
-    decay = torch.optim.lr_scheduler.ExponentialLR(adam, gamma=0.01 ** (1 / max(total, 1)))
+    # The trainer's own decay: Adam's momentum keeps a tugged point moving, so a constant rate cannot settle
+    # below about one step.
+    decay = torch.optim.lr_scheduler.ExponentialLR(adam, gamma=FINAL_RATE ** (1 / max(total, 1)))
     rows = []
     for step in range(total + 1):
         if step % record_every == 0 or step == total:
@@ -124,14 +141,14 @@ def repair(
             progress(step)
     table = np.array(rows)
     return Trajectory(
-        probe.name,
-        table[:, 0].astype(int),
-        table[:, 1],
-        table[:, 2].astype(int),
-        table[:, 3],
-        table[:, 4].astype(int),
-        probe.start,
-        points.detach().numpy().copy(),
+        name=probe.name,
+        steps=table[:, 0].astype(int),
+        bottleneck=table[:, 1],
+        significant=table[:, 2].astype(int),
+        loss=table[:, 3],
+        recruited=table[:, 4].astype(int),
+        start=probe.start,
+        final=points.detach().numpy().copy(),
     )
 
 
@@ -149,26 +166,26 @@ def _sphere(generator: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _punctured(generator):
-    """1024 points on the sphere outside a cap whose rim radius is CAP_OPENING; target: the whole sphere at the same M."""
+    """Return 1024 points on the sphere outside the cap, and on the whole sphere as the target."""
     candidates = _sphere(generator, 2048)
     outside = candidates[candidates[:, 2] <= np.sqrt(1 - CAP_OPENING**2)]
     return outside[:1024], _sphere(generator, 1024), 2, 0.01, 600
 
 
 def _handle(generator):
-    """1400 points on sphere and handle, by area; target: the sphere at the same M."""
+    """Return 1400 points on sphere and handle, by area, and on the sphere as the target."""
     handle_area = 4 * np.pi**2 * HANDLE_MAJOR * HANDLE_TUBE
     fraction = handle_area / (handle_area + 4 * np.pi)
     u, v = generator.random((2, 4000)) * 2 * np.pi
-    # A torus around the y axis above the north pole (at height 1 its loop clears the floor by 5 % only, less than the seeds'
-    # spread); rejection makes the tube's angle uniform by area.
+    # A torus around the y axis above the north pole (at height 1 its loop clears the floor by 5 % only, less
+    # than the seeds' spread); rejection makes the tube's angle uniform by area.
     kept = generator.random(4000) < (HANDLE_MAJOR + HANDLE_TUBE * np.cos(v)) / (HANDLE_MAJOR + HANDLE_TUBE)
     ring = HANDLE_MAJOR + HANDLE_TUBE * np.cos(v[kept])
     torus = np.column_stack(
         [ring * np.cos(u[kept]), HANDLE_TUBE * np.sin(v[kept]), HANDLE_HEIGHT + ring * np.sin(u[kept])]
     )
     torus = torus[np.linalg.norm(torus, axis=1) > 1]  # the part inside the sphere is no surface of the union
-    count = int(round(1400 * fraction * len(torus) / kept.sum()))
+    count = round(1400 * fraction * len(torus) / kept.sum())
     return (
         np.vstack([_sphere(generator, 1400 - count), torus[:count]]),
         _sphere(generator, 1400),

@@ -215,8 +215,12 @@ def _judge(shape: str, group: list[dict], controls: Sequence[str], judged: str) 
         "dimension": dimensions.pop() if dimensions else None,
         "arms": arms,
         "loss": judged,
-        "phantoms": {name: _seeds(arm, lambda n: n > expected[name]) for name, arm in counted.items()},
-        "missing": {name: _seeds(arm, lambda n: n < expected[name]) for name, arm in counted.items()},
+        "phantoms": {
+            name: _seeds(arm, lambda n, most=expected[name]: n > most) for name, arm in counted.items()
+        },
+        "missing": {
+            name: _seeds(arm, lambda n, least=expected[name]: n < least) for name, arm in counted.items()
+        },
     }
     present = [name for name in controls if name in arms]
     absent = [name for name in (BASELINE, judged) if name not in arms] + ([] if present else [controls[0]])

@@ -1,9 +1,11 @@
-"""The topology loss on top of `paper_artifact.alpha`: target bundle, plan, loss; usable without scene or trainer.
+"""The topology loss on top of `paper_artifact.alpha`, usable without scene or trainer.
 
-from paper_artifact.topology import TopologyLoss, build_bundle
+Rooms: floor and bundle (the target), matching and plan (one refresh), loss (raw points), term (a run).
 
-loss = TopologyLoss(build_bundle(target_points, diagonal))
-loss(points).backward()
+    from paper_artifact.topology import TopologyLoss, build_bundle
+
+    loss = TopologyLoss(build_bundle(target_points, diagonal))
+    loss(points).backward()
 """
 
 from paper_artifact.topology.bundle import Bundle as Bundle

@@ -1,7 +1,8 @@
 """The target bundle: the significant bars of a ground truth, measured once at the density the loss will see.
 
-Paper §3.1: alpha values shift with spacing, so target and live cloud must have the same number of samples M; births and deaths
-are RADII divided by the ground truth's bounding-box diagonal D, and D and the floor are locked for all live evaluations.
+Paper §3.1: alpha values shift with spacing, so target and live cloud must have the same number of samples M;
+births and deaths are RADII divided by the ground truth's bounding-box diagonal D, and D and the floor are
+locked for all live evaluations.
 """
 
 from __future__ import annotations
@@ -14,46 +15,43 @@ from pathlib import Path
 
 import numpy as np
 
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
 from paper_artifact.randomness import stream
-from paper_artifact.topology.floor import measurement_floor, significant
+from paper_artifact.sampling import sample_surface
+from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, significant
 
 FORMAT = "paper_artifact target bundle 1"
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Target bars and what they were measured on.
+    """Target bars and what they were measured on. Radii and floor are divided by the diagonal."""
 
-    bars: per dimension 0, 1, 2 the significant finite bars (k,2) float64 (birth, death), radius / diagonal, longest first;
-    dimensions: those the loss acts on; reasons: one sentence per dimension 0, 1, 2; samples: M; seed: of the sample;
-    floor: 6 r_med(M) / diagonal (dimensionless); floor_multiplier: the 6; diagonal: D, world units; shape: a name;
-    source: "sha256:…" of the geometry the bars were measured on.
-    """
-
+    # of dimensions 0, 1, 2: the significant finite bars (k,2) float64 (birth, death), longest first
     bars: tuple[np.ndarray, np.ndarray, np.ndarray]
-    dimensions: tuple[int, ...]
-    reasons: tuple[str, str, str]
-    samples: int
-    seed: int
-    floor: float
-    floor_multiplier: float
-    diagonal: float
-    shape: str
-    source: str
+    dimensions: tuple[int, ...]  # where the loss acts
+    reasons: tuple[str, str, str]  # one sentence for each of dimensions 0, 1, 2
+    samples: int  # M, points of the target's sample
+    seed: int  # of that sample
+    floor: float  # floor_multiplier · r_med(M) / diagonal, dimensionless
+    floor_multiplier: float  # the paper's 6
+    diagonal: float  # D of the ground truth's bounding box, world units
+    shape: str  # a name, for messages
+    source: str  # "sha256:…" of the geometry the bars were measured on
 
     @property
     def spacing(self) -> float:
-        """r_med(M) / diagonal of the target's sample."""
+        """Return r_med(M) / diagonal of the target's sample."""
         return self.floor / self.floor_multiplier
 
     def require_density(self, samples: int) -> None:
         """Raise InputError unless the loss samples at the density M this bundle was built at (paper §3.1)."""
         if samples != self.samples:
             raise InputError(
-                f"the bundle of {self.shape!r} was built at M = {self.samples} but the loss samples {samples} "
-                f"points; build the bundle at M = {samples}: alpha values shift with density"
+                f"the bundle of {self.shape!r} was built at M = {self.samples} but the loss samples "
+                f"{samples} points; build the bundle at M = {samples}: alpha values shift with density"
             )
 
     def save(self, path: Path | str) -> None:
@@ -83,21 +81,20 @@ def build_bundle(
     *,
     dimensions: tuple[int, ...] | None = None,
     suppress: tuple[int, ...] = (),
-    k: float = 6.0,
+    k: float = MULTIPLIER,
     shape: str = "points",
     seed: int = 0,
     source: str | None = None,
     method: str = "fast",
 ) -> Bundle:
-    """Measure the bundle of `points` (M,3) float64 world units, a sample of the ground truth with diagonal D (world units).
+    """Return the bundle of `points` (M,3) float64, a sample of the ground truth with diagonal D, world units.
 
-    dimensions: where the loss acts; None takes every dimension with a significant bar (the torus at M = 2048 gives H1 alone,
-    because its void is below the floor). suppress: dimensions with no target on purpose, where every significant live bar
-    is pushed to the diagonal. k: the floor is k·r_med. method: see `alpha_persistence`.
-    Raises InputError when a dimension of `dimensions` has no significant bar, when none has, or for bad points.
+    dimensions: where the loss acts; None takes every dimension with a significant bar (the torus at M = 2048
+    gives H1 alone, because its void is below the floor). suppress: dimensions with no target on purpose,
+    where every significant live bar is pushed to the diagonal. k: the floor is k·r_med. method: see
+    `alpha_persistence`. Raises InputError when a dimension of `dimensions` has no significant bar, when none
+    has, or for bad points.
     """
-    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
-
     points = np.ascontiguousarray(points, dtype=np.float64)
     floor = measurement_floor(points, diagonal, k)
     bars, reasons, found = [], [], []
@@ -125,34 +122,34 @@ def build_bundle(
     for dimension in set(suppress):
         if dimension not in (0, 1, 2) or len(bars[dimension]):
             raise InputError(
-                f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar or does not exist"
+                f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar, "
+                "or it does not exist"
             )
     acted = tuple(sorted(set(chosen) | set(suppress)))
     reasons = tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons))
     return Bundle(
-        tuple(bars),
-        acted,
-        reasons,
-        len(points),
-        int(seed),
-        floor,
-        float(k),
-        float(diagonal),
-        shape,
-        source or fingerprint(points),
+        bars=tuple(bars),
+        dimensions=acted,
+        reasons=reasons,
+        samples=len(points),
+        seed=int(seed),
+        floor=floor,
+        floor_multiplier=float(k),
+        diagonal=float(diagonal),
+        shape=shape,
+        source=source or fingerprint(points),
     )
 
 
 def build_from_mesh(
     vertices: np.ndarray, faces: np.ndarray, samples: int, seed: int = 0, *, shape: str = "mesh", **options
 ) -> Bundle:
-    """Sample a mesh, vertices (V,3) world units and faces (F,3), uniformly by area and measure its bundle at M = `samples`.
+    """Return the bundle at M = `samples` of a mesh, vertices (V,3) world units and faces (F,3).
 
-    D is the bounding-box diagonal of the vertices. The draw is a function of `seed` and equals the live soup's sampler with
-    opacity 1. Further options: those of `build_bundle`. Raises InputError as `build_bundle` and `sample_surface` do.
+    The sample is uniform by area; D is the bounding-box diagonal of the vertices. The draw is a function of
+    `seed` and equals the live soup's sampler with opacity 1. Further options: those of `build_bundle`. Raises
+    InputError as `build_bundle` and `sample_surface` do.
     """
-    from paper_artifact.sampling import sample_surface
-
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     diagonal = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
     points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
@@ -162,7 +159,10 @@ def build_from_mesh(
 
 
 def load_bundle(path: Path | str) -> Bundle:
-    """Read a bundle that `Bundle.save` wrote. Raises InputError for a file that is missing, no bundle, or inconsistent."""
+    """Return the bundle that `Bundle.save` wrote to `path`.
+
+    Raises InputError for a file that is missing, no bundle, or inconsistent.
+    """
     try:
         value = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -171,22 +171,25 @@ def load_bundle(path: Path | str) -> Bundle:
 
 
 def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
-    """Return the Bundle of a dict made by `Bundle.to_json`. Raises InputError, naming `name`, when it is not a valid one."""
+    """Return the Bundle of a dict made by `Bundle.to_json`.
+
+    Raises InputError, naming `name`, when it is not a valid one.
+    """
     if not isinstance(value, Mapping) or value.get("format") != FORMAT:
         raise InputError(f"{name} is not a target bundle of the format {FORMAT!r}; build it again")
     try:
         bars = tuple(np.asarray(each, dtype=np.float64).reshape(-1, 2) for each in value["bars"])
         bundle = Bundle(
-            bars,
-            tuple(int(d) for d in value["dimensions"]),
-            tuple(str(r) for r in value["reasons"]),
-            int(value["samples"]),
-            int(value["seed"]),
-            float(value["floor"]),
-            float(value["floor_multiplier"]),
-            float(value["diagonal"]),
-            str(value["shape"]),
-            str(value["source"]),
+            bars=bars,
+            dimensions=tuple(int(d) for d in value["dimensions"]),
+            reasons=tuple(str(r) for r in value["reasons"]),
+            samples=int(value["samples"]),
+            seed=int(value["seed"]),
+            floor=float(value["floor"]),
+            floor_multiplier=float(value["floor_multiplier"]),
+            diagonal=float(value["diagonal"]),
+            shape=str(value["shape"]),
+            source=str(value["source"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name} is damaged ({type(error).__name__}: {error}); build it again") from error
@@ -212,7 +215,7 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
 
 
 def fingerprint(*arrays: np.ndarray) -> str:
-    """Return "sha256:…" of arrays' shapes and little-endian values: the identity of the geometry a bundle was measured on."""
+    """Return "sha256:…" of arrays' shapes and little-endian values: what a bundle was measured on."""
     digest = hashlib.sha256()
     for each in arrays:
         each = np.asarray(each)
@@ -227,7 +230,8 @@ def _reason(lengths: np.ndarray, floor: float, kept: int, count: int) -> str:
     largest_out = f"largest excluded {below.max() / floor:.2f}x the floor" if len(below) else "none excluded"
     if not kept:
         return f"no significant bar at M = {count}, {largest_out}"
-    return f"{kept} significant at M = {count}, tightest {lengths[lengths > floor].min() / floor:.2f}x the floor, {largest_out}"
+    tightest = lengths[lengths > floor].min() / floor
+    return f"{kept} significant at M = {count}, tightest {tightest:.2f}x the floor, {largest_out}"
 
 
 def _role(dimension: int, chosen: tuple[int, ...], suppress: tuple[int, ...]) -> str:

@@ -1,4 +1,6 @@
-"""The live cloud as the loss sees it: checked, divided by the bundle's diagonal, and with noise where a condition asks for it."""
+"""The live cloud as the loss sees it: checked, divided by the bundle's diagonal, and with noise where a
+condition asks for it.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,8 @@ import numpy as np
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.topology.bundle import Bundle
+
+FLAT = 1e-12  # smallest over largest singular value below which a cloud counts as coplanar
 
 
 def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
@@ -25,15 +29,17 @@ def check_cloud(cloud: np.ndarray, bundle: Bundle) -> np.ndarray:
         )
     bundle.require_density(len(cloud))
     spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
-    if spread[-1] <= 1e-12 * spread[0]:
+    if spread[-1] <= FLAT * spread[0]:
         raise InputError(
-            "all live points lie in one plane: no alpha complex in space; check the geometry the samples come from"
+            "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
         )
     return cloud / bundle.diagonal
 
 
 def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
-    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of (seed, counter)."""
+    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of
+    (seed, counter).
+    """
     if noise == 0:
         return cloud
     return cloud + noise * stream(seed, "topology-noise", counter).standard_normal(cloud.shape)

@@ -1,9 +1,10 @@
-"""The norm-matched control C2: a short-range repulsion of the same frozen samples, with no topological information.
+"""The norm-matched control C2: a short-range repulsion of the same samples, with no topological information.
 
-Paper §3.5 names "a short-range repulsion on the same frozen samples, calibrated with the same ρ (C2g: a gentler radius)" and
-gives no formula. Ours: E = (1/M) Σ over sample pairs closer than h of (1 - r/h)², distances divided by the diagonal, h a
-multiple of the target's median spacing r_med(M). Default h = 4 r_med: about eleven neighbours of a uniform sample, and below the
-floor of 6 r_med, hence short-range for every significant feature; C2g halves it (about three neighbours).
+Paper §3.5 names "a short-range repulsion on the same frozen samples, calibrated with the same ρ (C2g: a
+gentler radius)" and gives no formula. Ours: E = (1/M) Σ over sample pairs closer than h of (1 - r/h)²,
+distances divided by the diagonal, h a multiple of the target's median spacing r_med(M). Default h = 4 r_med:
+about eleven neighbours of a uniform sample, and below the floor of 6 r_med, hence short-range for every
+significant feature; C2g halves it (about three neighbours).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-# Pairs are listed with the plan, up to this multiple of h, so that samples that come closer between two refreshes count.
+# Pairs are listed with the plan, up to this multiple of h, so that samples that come closer between two
+# refreshes count.
 SKIN = 1.25
 
 
@@ -25,9 +27,10 @@ def neighbour_pairs(cloud: np.ndarray, radius: float) -> np.ndarray:
 
 
 def repulsion(positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
-    """Return E (scalar float64) of `positions` (M,3) float64 over `pairs` (n,2); radius h in the unit of the positions.
+    """Return E (scalar float64) of `positions` (M,3) float64 over `pairs` (n,2).
 
-    Differentiable once; two samples at one place push each other in no direction (gradient 0).
+    radius: h, in the unit of the positions. Differentiable once; two samples at one place push each other in
+    no direction (gradient 0).
     """
     return _Repulsion.apply(positions, pairs, radius)
 

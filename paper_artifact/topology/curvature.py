@@ -1,9 +1,9 @@
 """Curvature weights of the plan's terms: condition C4, which the paper defers and leaves undefined.
 
-The definition here is this artifact's own. The curvature of a sample is the surface variation of its 16 nearest samples, the
-smallest share λ0 / (λ0 + λ1 + λ2) of their covariance's eigenvalues (Pauly, Gross & Kobbelt 2002); a term's weight is the mean
-over the corners of its two simplices, divided by the mean over the cloud and clipped to [1/4, 4]. Weights are frozen with the
-plan.
+The definition here is this artifact's own. The curvature of a sample is the surface variation of its 16
+nearest samples, the smallest share λ0 / (λ0 + λ1 + λ2) of their covariance's eigenvalues (Pauly, Gross &
+Kobbelt 2002); a term's weight is the mean over the corners of its two simplices, divided by the mean over the
+cloud and clipped to [1/4, 4]. Weights are frozen with the plan.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-NEIGHBOURS = 16
-CLIP = (0.25, 4.0)
+NEIGHBOURS = 16  # samples that make a sample's curvature
+CLIP = (0.25, 4.0)  # least and largest weight
 
 
 def surface_variation(cloud: np.ndarray, indices: np.ndarray, neighbours: int = NEIGHBOURS) -> np.ndarray:
-    """Return the surface variation (n,) in [0, 1/3], 0 on a plane, at the samples `indices` (n,) of `cloud` (M,3)."""
+    """Return the surface variation (n,), in [0, 1/3], 0 on a plane, at rows `indices` (n,) of `cloud`
+    (M,3).
+    """
     _, near = cKDTree(cloud).query(cloud[indices], k=min(neighbours, len(cloud)))
     centred = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
     eigenvalues = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centred, centred))
@@ -27,7 +29,9 @@ def surface_variation(cloud: np.ndarray, indices: np.ndarray, neighbours: int = 
 
 
 def pair_weights(cloud: np.ndarray, simplices: Sequence[tuple[int, ...]]) -> np.ndarray:
-    """Return the weights (n,) of terms with corner samples `simplices`; 1 for each when the whole cloud is flat."""
+    """Return the weights (n,) of terms with corner samples `simplices`; 1 for each when the whole cloud is
+    flat.
+    """
     variation = surface_variation(cloud, np.arange(len(cloud)))
     mean = variation.mean()
     if mean <= 0:

@@ -1,7 +1,8 @@
 """The measurement floor of a point sample: which bars a density can tell from sampling noise.
 
-Paper §3.1 and §6: a bar is significant iff its lifetime exceeds 6·r_med(M), r_med the median nearest-neighbour distance of
-the M samples. For a uniform sample of a surface r_med ≈ sqrt(ln 2 · Area / (π M)), so the floor falls as M^(-1/2).
+Paper §3.1 and §6: a bar is significant iff its lifetime exceeds 6·r_med(M), r_med the median
+nearest-neighbour distance of the M samples. For a uniform sample of a surface r_med ≈ sqrt(ln 2 · Area / (π
+M)), so the floor falls as M^(-1/2).
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
+
+MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
 
 
 def median_spacing(points: np.ndarray) -> float:
@@ -20,7 +23,7 @@ def median_spacing(points: np.ndarray) -> float:
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(
-            f"the median spacing needs at least two points of shape (n, 3), got {points.shape}; draw more samples"
+            f"the median spacing needs at least two points (n, 3), got {points.shape}; draw more samples"
         )
     if not np.isfinite(points).all():
         raise InputError("the points hold a coordinate that is not finite; remove it before measuring")
@@ -28,25 +31,32 @@ def median_spacing(points: np.ndarray) -> float:
     return float(np.median(distances[:, 1]))
 
 
-def measurement_floor(points: np.ndarray, diagonal: float, k: float = 6.0) -> float:
-    """Return the floor k·r_med/diagonal: lifetimes (radius / diagonal, dimensionless) above it are significant.
-
-    points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in the paper.
-    Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal that is not positive.
-    """
+def check_diagonal(diagonal: float) -> None:
+    """Raise InputError unless `diagonal` (world units) is a positive, finite length."""
     if not np.isfinite(diagonal) or diagonal <= 0:
         raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; use the ground truth's bounding-box diagonal"
+            f"the diagonal must be a positive length, got {diagonal}; "
+            "use the ground truth's bounding-box diagonal"
         )
+
+
+def measurement_floor(points: np.ndarray, diagonal: float, k: float = MULTIPLIER) -> float:
+    """Return the floor k·r_med/diagonal: lifetimes (radius / diagonal) above it are significant.
+
+    points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in
+    the paper. Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal
+    that is not positive.
+    """
+    check_diagonal(diagonal)
     return k * median_spacing(points) / float(diagonal)
 
 
 def uniform_spacing(area: float, count: int) -> float:
-    """Return the closed form r_med = sqrt(ln 2 · area / (π count)) of `count` uniform samples on a surface of that area.
+    """Return the closed form r_med = sqrt(ln 2 · area / (π count)) of `count` uniform samples of a surface.
 
-    Nearest-neighbour distances of a planar Poisson process of density count/area follow P(r > s) = exp(-π s² count/area); the
-    median is where this is one half. area in squared units, result in that unit (paper §6, the uniform-sampling law).
-    Raises InputError when area or count is not positive.
+    Nearest-neighbour distances of a planar Poisson process of density count/area follow P(r > s) = exp(-π s²
+    count/area); the median is where this is one half. area in squared units, result in that unit (paper §6,
+    the uniform-sampling law). Raises InputError when area or count is not positive.
     """
     if not area > 0 or not count > 0:
         raise InputError(f"the closed-form spacing needs a positive area and count, got {area} and {count}")
@@ -54,9 +64,9 @@ def uniform_spacing(area: float, count: int) -> float:
 
 
 def significant(bars: np.ndarray, floor: float) -> np.ndarray:
-    """Return the mask (k,) bool of the `bars` (k,2) (birth, death) whose lifetime exceeds `floor`, in the bars' own unit.
+    """Return the mask (k,) bool of the `bars` (k,2) (birth, death) whose lifetime exceeds `floor`.
 
-    A whole diagram (a tuple of such arrays) gives a tuple of masks.
+    Bars and floor in one unit. A whole diagram (a tuple of such arrays) gives a tuple of masks.
     """
     if isinstance(bars, (tuple, list)):
         return tuple(significant(each, floor) for each in bars)

@@ -4,7 +4,8 @@
     loss = TopologyLoss(bundle)
     loss(points).backward()            # points (M,3), requires_grad; the plan is refreshed every 10 calls
 
-Paper §3: L_topo of births and deaths (radius / diagonal, dimensionless) under a plan that is frozen between refreshes.
+Paper §3: L_topo of births and deaths (radius / diagonal, dimensionless) under a plan that is frozen between
+refreshes.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from paper_artifact.topology.plan import Plan, build_plan
 class TopologyLoss:
     """Matched persistence loss of M points against a bundle.
 
-    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for example
-    refresh_every=0 (only `refresh` makes a plan) or noise=.005. Raises InputError for an unknown setting, one out of range, or the
-    fallback "denser", which needs a surface.
+    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for
+    example refresh_every=0 (only `refresh` makes a plan) or noise=.005. Raises InputError for an unknown
+    setting, one out of range, or the fallback "denser", which needs a surface.
     """
 
     def __init__(self, bundle: Bundle, *, seed: int = 0, **settings: Any) -> None:
@@ -34,7 +35,7 @@ class TopologyLoss:
         self.config = with_changes(LossConfig(samples=bundle.samples), settings)
         if self.config.fallback == "denser":
             raise InputError(
-                "the fallback 'denser' samples a surface again, and raw points have none; choose another fallback"
+                "the fallback 'denser' samples a surface again, and raw points have none; choose another"
             )
         self.plan: Plan | None = None
         self._calls = self._refreshes = 0
@@ -42,7 +43,8 @@ class TopologyLoss:
     def refresh(self, points: Tensor | np.ndarray) -> Plan:
         """Make the plan of `points` (M,3), world units, and return it.
 
-        Raises InputError when M is not the bundle's, for fewer than 4 points, or for a coordinate that is not finite.
+        Raises InputError when M is not the bundle's, for fewer than 4 points, or for a coordinate that is not
+        finite.
         """
         cloud = check_cloud(
             points.detach().cpu().numpy() if isinstance(points, Tensor) else points, self.bundle
@@ -54,13 +56,15 @@ class TopologyLoss:
         return self.plan
 
     def __call__(self, points: Tensor) -> Tensor:
-        """Return the loss (scalar, dtype of `points`) at `points` (M,3) floating point, world units; differentiable once.
+        """Return the loss (scalar, dtype of `points`) at `points` (M,3) floating point, world units.
 
-        Raises InputError as `refresh` does, and when refresh_every is 0 and `refresh` was never called.
+        Differentiable once. Raises InputError as `refresh` does, and when refresh_every is 0 and `refresh`
+        was never called.
         """
         if not points.is_floating_point() or points.ndim != 2 or points.shape[1] != 3:
             raise InputError(
-                f"the loss needs floating-point points of shape (M, 3), got {points.dtype} {tuple(points.shape)}"
+                "the loss needs floating-point points of shape (M, 3), "
+                f"got {points.dtype} {tuple(points.shape)}"
             )
         every, plan = self.config.refresh_every, self.plan
         if plan is None and not every:

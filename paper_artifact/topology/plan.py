@@ -1,12 +1,13 @@
 """The plan: the frozen combinatorics of one refresh, and the loss it stands for.
 
-Everything is divided by the bundle's diagonal (births, deaths, targets, floor: radius / diagonal). A term is one bar of the live
-cloud with its birth and death simplex and what pulls it: a target bar (matched or recruited) or the diagonal (paper §3.3).
+Everything is divided by the bundle's diagonal (births, deaths, targets, floor: radius / diagonal). A term is
+one bar of the live cloud with its birth and death simplex and what pulls it: a target bar (matched or
+recruited) or the diagonal (paper §3.3).
 
-Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target at the same M
-("locked for all live evaluations", paper §3.1), so the objective is one function during a run and a soup cannot change what
-counts by changing its own spacing. `floor_source="live"` takes the live cloud's own 6 r_med instead; both are reported at
-every refresh.
+Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target
+at the same M ("locked for all live evaluations", paper §3.1), so the objective is one function during a run
+and a soup cannot change what counts by changing its own spacing. `floor_source="live"` takes the live cloud's
+own 6 r_med instead; both are reported at every refresh.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from torch.autograd.function import once_differentiable
 
 from paper_artifact.alpha.circumradius import radius_and_gradient
 from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.config import LossConfig
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.curvature import pair_weights
@@ -31,8 +33,10 @@ KINDS = ("matched", "recruited", "diagonal")
 
 @dataclass(frozen=True)
 class Term:
-    """One bar and its pull. birth, death: filtration values of the cloud the plan saw; birth_simplex, death_simplex: sample
-    indices; target (2,) or None for the diagonal; sound: passed the Gabriel gate (else value only, no gradient)."""
+    """One bar and its pull. birth, death: filtration values of the cloud the plan saw; birth_simplex,
+    death_simplex: sample indices; target (2,) or None for the diagonal; sound: passed the Gabriel gate (else
+    value only, no gradient).
+    """
 
     dimension: int
     kind: str
@@ -49,8 +53,9 @@ class Term:
 class Plan:
     """Frozen terms of one refresh.
 
-    samples: M of the cloud; used (u,) int64 tensor: the samples any term touches; report: JSON-able counts and bars per
-    dimension; failing: the simplices that failed the gate. `value` gives the loss at positions of the used samples.
+    samples: M of the cloud; used (u,) int64 tensor: the samples any term touches; report: JSON-able counts
+    and bars per dimension; failing: the simplices that failed the gate. `value` gives the loss at positions
+    of the used samples.
     """
 
     terms: tuple[Term, ...]
@@ -69,14 +74,17 @@ class Plan:
         return len(self.terms)
 
     def coordinates(self, positions: np.ndarray) -> np.ndarray:
-        """Return live (births, deaths) (2,n) float64 of the terms at `positions` (u,3) float64 of the used samples, divided by D.
+        """Return live (births, deaths) (2,n) float64 of the terms at `positions` (u,3) float64 of the used
+        samples, divided by D.
 
-        A term that failed the gate, and a coordinate whose simplex has become flat since, keeps the refresh's value.
+        A term that failed the gate, and a coordinate whose simplex has become flat since, keeps the refresh's
+        value.
         """
         return self._arrays.radii(positions)[0].reshape(2, -1)
 
     def value(self, positions: Tensor) -> Tensor:
-        """Return the paper's L_topo (scalar float64) at `positions` (u,3) float64 of the used samples, divided by D.
+        """Return the paper's L_topo (scalar float64) at `positions` (u,3) float64 of the used samples,
+        divided by D.
 
         Differentiable once, in closed form. An empty plan gives an exact 0 with a zero gradient.
         """
@@ -87,8 +95,8 @@ class Plan:
 class _Arrays:
     """A plan's terms as arrays: simplices grouped by their number of corners, into the used samples.
 
-    groups: (rows (r,), corners (r,k)) with rows into the 2n coordinates (births, then deaths); frozen, sound (2n,); target
-    (2,n); diagonal (n,) bool; weight (n,).
+    groups: (rows (r,), corners (r,k)) with rows into the 2n coordinates (births, then deaths); frozen, sound
+    (2n,); target (2,n); diagonal (n,) bool; weight (n,).
     """
 
     groups: tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -164,12 +172,11 @@ def _compile(terms: tuple[Term, ...]) -> tuple[np.ndarray, _Arrays]:
 
 
 def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig = LossConfig()) -> Plan:
-    """Make the plan of a live `cloud` (M,3) float64, divided by the bundle's diagonal: persistence, matching, recruitment, gate.
+    """Make the plan of a live `cloud` (M,3) float64, divided by the bundle's diagonal: persistence, matching,
+    recruitment, gate.
 
     Only the bundle's dimensions enter. Raises what `alpha_persistence` raises for its points.
     """
-    from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
-
     live_floor = measurement_floor(cloud, 1.0, bundle.floor_multiplier)
     floor = bundle.floor if config.floor_source == "bundle" else live_floor
     pairs = alpha_persistence(cloud, method=config.method)
@@ -240,7 +247,9 @@ def _sound(cloud, simplices, bars) -> np.ndarray:
 
 
 def _repair(cloud, pair, bar, fallback, failed):
-    """Note the pair's failing simplices in `failed`; return the (birth, death) simplices to differentiate, and whether sound."""
+    """Note the pair's failing simplices in `failed`; return the (birth, death) simplices to differentiate,
+    and whether sound.
+    """
     passed = True
     for side in (0, 1):
         simplex = np.array(pair[side], dtype=np.int64)

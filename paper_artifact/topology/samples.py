@@ -1,7 +1,7 @@
-"""Frozen surface samples of a triangle soup: drawn once per refresh, recomputed from live vertices at every step.
+"""Frozen surface samples of a triangle soup: drawn per refresh, recomputed from live vertices at every step.
 
-Paper §3.2: X_j = Σ_i w_ij V[F(f_j), i], faces f_j drawn opacity × area-weighted, barycentric weights w_ij frozen. A soup is
-vertices (T,3,3): T triangles, each owning its three corners, world units.
+Paper §3.2: X_j = Σ_i w_ij V[F(f_j), i], faces f_j drawn opacity × area-weighted, barycentric weights w_ij
+frozen. A soup is vertices (T,3,3): T triangles, each owning its three corners, world units.
 """
 
 from __future__ import annotations
@@ -19,23 +19,21 @@ from paper_artifact.sampling import sample_surface
 
 @dataclass(frozen=True, eq=False)
 class FrozenSamples:
-    """M samples of a soup of `triangles` triangles.
+    """M samples of a triangle soup."""
 
-    faces (M,) int64 torch: the triangle of each sample; barycentrics (M,3) float64 torch: its frozen corner weights.
-    """
-
-    faces: Tensor
-    barycentrics: Tensor
-    triangles: int
+    faces: Tensor  # (M,) int64: the triangle of each sample
+    barycentrics: Tensor  # (M,3) float64: its frozen corner weights
+    triangles: int  # of the soup that was sampled
 
     def __len__(self) -> int:
         return len(self.faces)
 
     def positions(self, vertices: Tensor, indices: Tensor | None = None) -> Tensor:
-        """Return the samples' positions (M,3) float64 on the CPU, world units, differentiable by `vertices` (T,3,3), any device.
+        """Return the samples' positions (M,3) float64 on the CPU, world units.
 
-        indices (m,) int64: only these samples (a frozen-plan step needs a handful). Raises InputError when the soup
-        has another number of triangles than the one sampled (it was resampled: refresh first).
+        Differentiable by `vertices` (T,3,3), on any device. indices (m,) int64: only these samples (a
+        frozen-plan step needs a handful). Raises InputError when the soup has another number of triangles
+        than the one sampled (it was resampled: refresh first).
         """
         if vertices.ndim != 3 or tuple(vertices.shape) != (self.triangles, 3, 3):
             raise InputError(
@@ -64,13 +62,13 @@ def draw_samples(
 ) -> FrozenSamples:
     """Draw `count` samples with density opacity × area on a soup's vertices (T,3,3), world units.
 
-    opacity (T,) or (T,3) in [0,1] (three corners: their mean), or None for area alone. Raises InputError for another shape,
-    a value that is not finite, or a soup with no visible area.
+    opacity (T,) or (T,3) in [0,1] (three corners: their mean), or None for area alone. Raises InputError for
+    another shape, a value that is not finite, or a soup with no visible area.
     """
     corners = _array(vertices)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not np.isfinite(corners).all():
         raise InputError(
-            f"a soup is finite vertices of shape (T, 3, 3), got {corners.shape}; check for NaN and for the layout"
+            f"a soup is finite vertices of shape (T, 3, 3), got {corners.shape}; check layout and values"
         )
     weights = None
     if opacity is not None:

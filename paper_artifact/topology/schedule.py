@@ -8,9 +8,10 @@ from paper_artifact.errors import InputError
 
 
 def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> float:
-    """Return the factor in [0, 1] of λ at `step` of `steps`: 0 up to window[0]·steps, 1 from window[1]·steps, linear between.
+    """Return the factor in [0, 1] of λ at `step` of `steps`.
 
-    window None (condition C3, no ramp): 1 at every step. Raises InputError for a window that is not 0 <= start < end <= 1.
+    0 up to window[0]·steps, 1 from window[1]·steps, linear between. window None (condition C3, no ramp): 1 at
+    every step. Raises InputError for a window that is not 0 <= start < end <= 1.
     """
     if window is None:
         return 1.0
@@ -21,7 +22,7 @@ def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> fl
 
 
 def peak_weight(rho: float, photo_norm: float, topo_norm: float) -> float | None:
-    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where the ratio does not exist: a zero or non-finite norm.
+    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where a norm is zero or not finite.
 
     None is a stated no-op: the term stays out of this step, the log says so, and the next step tries again.
     """

@@ -4,8 +4,8 @@
     term.refresh_if_due(step, vertices, opacity, resampled)
     extra = term.value(step, vertices, photo_gradient_norm)                # None while inactive
 
-vertices (T,3,3) world units; steps count from 1. The ramp and the random streams go by the steps that are done, step - 1. The trainer
-needs to know nothing else, and imports nothing of this when off.
+vertices (T,3,3) world units; steps count from 1. The ramp and the random streams go by the steps that are
+done, step - 1. The trainer needs to know nothing else, and imports nothing of this when off.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ class Objective(Protocol):
 
 
 class TopologyTerm:
-    """One condition's additive term during a run.
+    """One condition's additive term during a run of `steps` steps.
 
-    log: list of JSON-able dicts: one per refresh ("event": "refresh"), one for λ ("event": "lambda"), one per step on which the
-    calibration was a no-op ("event": "no-op", "reason"). Raises InputError when the bundle's density is not the loss's.
+    lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
+    "refresh"), one for λ ("event": "lambda"), one per step on which the calibration was a no-op ("event":
+    "no-op", "reason"). Raises InputError when the bundle's density is not the loss's.
     """
 
     def __init__(self, config: LossConfig, bundle: Bundle, steps: int, seed: int) -> None:
@@ -69,10 +70,11 @@ class TopologyTerm:
     def refresh_if_due(
         self, step: int, vertices: Tensor, opacity: Tensor | np.ndarray | None, resampled: bool = False
     ) -> bool:
-        """Draw samples and make the plan when due: first active step, every `refresh_every` steps, after a resampling.
+        """Draw samples and make the plan when due; return whether that happened.
 
-        vertices (T,3,3) world units; opacity (T,) or (T,3) in [0,1], or None; resampled: the soup was changed wholesale since
-        the last call. Returns whether a refresh happened. Raises InputError for NaN or a soup without visible area.
+        Due are the first active step, every `refresh_every` steps, and the first step after a resampling.
+        vertices (T,3,3) world units; opacity (T,) or (T,3) in [0,1], or None; resampled: the soup was changed
+        wholesale since the last call. Raises InputError for NaN or a soup without visible area.
         """
         self._resampled |= bool(resampled)
         if not self.factor(step) > 0:
@@ -92,11 +94,12 @@ class TopologyTerm:
     def value(
         self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]
     ) -> Tensor | None:
-        """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), differentiable by `vertices` (T,3,3); None while inactive.
+        """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), or None while inactive.
 
-        photo_gradient_norm: ‖∇V L_photo‖ of this step, or a function that computes it; used once, at calibration. A zero or
-        non-finite norm there is a no-op: None is returned, the log says why, and the next step tries again.
-        Raises InputError when `refresh_if_due` was not called or the soup changed without it.
+        Differentiable by `vertices` (T,3,3), world units. photo_gradient_norm: ‖∇V L_photo‖ of this step, or
+        a function that computes it; used once, at calibration. A zero or non-finite norm there is a no-op:
+        None is returned, the log says why, and the next step tries again. Raises InputError when
+        `refresh_if_due` was not called or the soup changed without it.
         """
         factor = self.factor(step)
         if factor <= 0:
@@ -110,7 +113,10 @@ class TopologyTerm:
         return (self.lambda_peak * factor * self._objective.value(vertices)).to(vertices)
 
     def state(self) -> dict:
-        """Return what a resumed run needs (JSON-able). Exact at a step where a refresh is due, as after every resampling."""
+        """Return what a resumed run needs (JSON-able).
+
+        Exact at a step where a refresh is due, as after every resampling.
+        """
         return {"lambda_peak": self.lambda_peak, "log": list(self.log)}
 
     def load_state(self, state: dict) -> None:

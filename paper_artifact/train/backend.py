@@ -1,7 +1,7 @@
 """Where a photometric step is computed: the numba kernels on the CPU, or the plain-torch twin on a GPU.
 
-Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's tensors, return the
-loss.
+Both do the same: render a batch, add the loss gradients of vertices, features, opacity and MLP to the soup's
+tensors, return the loss.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.step import PhotometricStep
 from paper_artifact.raster.view import make_camera
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, soup_of
 
 
 class CpuBackend:
@@ -33,7 +33,10 @@ class CpuBackend:
     to_host = to_device
 
     def photometric_step(self, soup: Soup, views: np.ndarray, keys: list[int]) -> float:
-        """Set the soup's gradients to the batch's and return the loss; views are scene view indices, one draw key each."""
+        """Set the soup's gradients to the batch's and return the loss.
+
+        views: indices of the scene's views (B,), with one draw key (`draws.view_key`) each.
+        """
         drawn = soup.drawn()
         cameras = [self._cameras[int(view)] for view in views]
         targets = [self._targets[int(view)] for view in views]
@@ -60,11 +63,8 @@ class TwinBackend:
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = [
-            tensor.detach().to(device, dtype).clone()
-            for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        ]
-        return Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
+        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in tensors]).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -81,13 +81,17 @@ class TwinBackend:
         target = self._targets[[self._row[int(view)] for view in views]]
         matrices = self._matrices[torch.as_tensor(views, device=self._device)]
         opacity = torch.sigmoid(soup.opacity)
-        raster = twin.rasterize(soup.vertices, opacity, matrices, *target.shape[2:], keys)
+        height, width = target.shape[2:]
+        raster = twin.rasterize(soup.vertices, opacity, matrices, height, width, keys)
         colour = twin.shade(torch.sigmoid(soup.features), soup.mlp, raster, matrices, self._background)
         auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
         colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
         loss = twin.photometric_loss(colour, target)
         (loss + auxiliary).backward()
         return loss.item()
+
+
+Backend = CpuBackend | TwinBackend
 
 
 def check_device(device: str) -> None:
@@ -98,8 +102,11 @@ def check_device(device: str) -> None:
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
 
-def backend_for(device: str, scene: Scene, views: np.ndarray) -> CpuBackend | TwinBackend:
-    """Return the backend for "cpu", "cuda" or "auto" (cuda when there is one). Raises InputError as `check_device` does."""
+def backend_for(device: str, scene: Scene, views: np.ndarray) -> Backend:
+    """Return the backend for "cpu", "cuda" or "auto" (cuda if there is one).
+
+    Raises InputError as `check_device` does.
+    """
     check_device(device)
     if device == "cpu" or not torch.cuda.is_available():
         return CpuBackend(scene, views)

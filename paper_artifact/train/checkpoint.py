@@ -13,21 +13,18 @@ import torch
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import soup_of
+from paper_artifact.train.backend import Backend
 from paper_artifact.train.state import TrainState, soup_optimisers
 from paper_artifact.train.term import LossTerm
 
 FORMAT = 2
-HISTORY = (
-    "step",
-    "losses",
-    "dumps",
-    "resamplings",
-    "seconds",
-)  # fields of the state that are stored as they are
+HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
 
 
-def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend) -> None:
+def write_checkpoint(
+    path: Path, config: RunConfig, state: TrainState, term: LossTerm, backend: Backend
+) -> None:
     """Write the state of a run and of its term, atomically. Raises InputError when the folder is not
     writable."""
     soup = backend.to_host(state.soup)
@@ -42,7 +39,9 @@ def write_checkpoint(path: Path, config: RunConfig, state: TrainState, term: Los
         torch.save(saved, temporary)
 
 
-def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend) -> TrainState | None:
+def resumed_state(
+    path: Path | None, config: RunConfig, term: LossTerm, backend: Backend
+) -> TrainState | None:
     """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no
     such file.
 
@@ -53,9 +52,9 @@ def resumed_state(path: Path | None, config: RunConfig, term: LossTerm, backend)
         return None
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
-        version, saved_config, tensors = saved["format"], saved["config"], saved["soup"]
+        version, saved_config = saved["format"], saved["config"]
         history = {name: saved[name] for name in HISTORY}
-        soup = Soup(*tensors[:3], tuple(tensors[3:])).trainable()
+        soup = soup_of(saved["soup"]).trainable()
         moments, term_state = saved["mlp_optimiser"], saved["term"]
     except Exception as error:  # torch.load raises many kinds for a damaged file
         raise InputError(

@@ -22,7 +22,7 @@ from paper_artifact.scene.load import Scene
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
-from paper_artifact.train.backend import backend_for
+from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
 from paper_artifact.train.state import TrainingError, TrainState, learning_rates, soup_optimisers
 from paper_artifact.train.term import LossTerm, NoTerm
@@ -88,8 +88,10 @@ def train(
         if resampler.due(step, config.steps):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
-                size, host = scene.images.shape[1:3], backend.to_host(state.soup)
-                soup, report = resampler.resample(host, views_of_all, *size, config.seed, step, config.steps)
+                height, width = scene.images.shape[1:3]
+                soup, report = resampler.resample(
+                    backend.to_host(state.soup), views_of_all, height, width, config.seed, step, config.steps
+                )
                 state.replace_soup(backend.to_device(soup))
                 state.resamplings.append({"step": step, **vars(report)})
         if evaluate is not None and step in config.dump_steps:
@@ -104,20 +106,25 @@ def train(
     return state
 
 
-def start_state(scene: Scene, config: RunConfig, backend, importance: np.ndarray | None = None) -> TrainState:
-    """Return the state before the first step: a soup from the scene's cloud with `initial_ratio` times the
-    budget's triangles."""
+def start_state(
+    scene: Scene, config: RunConfig, backend: Backend, importance: np.ndarray | None = None
+) -> TrainState:
+    """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
     soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
     return TrainState(0, soup, soup_optimisers(soup))
 
 
 def add_term(term: LossTerm, state: TrainState) -> None:
-    """Add the term's gradient to that of the soup's vertices. Raises TrainingError when its value is not
-    finite."""
+    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite."""
     soup = state.soup
+
+    def photo_norm() -> float:
+        gradient = soup.vertices.grad
+        return 0.0 if gradient is None else float(gradient.norm())
+
     term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
-    extra = term.value(state.step, soup.vertices, lambda: float(soup.vertices.grad.norm()))
+    extra = term.value(state.step, soup.vertices, photo_norm)
     if extra is None:
         return
     if not torch.isfinite(extra):

@@ -1,6 +1,8 @@
-"""Pictures of surfaces and triangle soups in one neutral material, drawn by the project's own rasterizer (`raster.visibility`).
+"""Pictures of surfaces and triangle soups in one neutral material, drawn by the project's own rasterizer
+(`raster.visibility`).
 
-Flat Lambert shading with one normal per face, turned towards the camera: a soup's triangles have no common winding.
+Flat Lambert shading with one normal per face, turned towards the camera: a soup's triangles have no common
+winding.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ SUPERSAMPLING = 2
 
 
 def framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camera:
-    """Return the square camera of `size` pixels whose image the points (n,3), world units, seen from `direction` (3,), just fill;
-    z upwards.
+    """Return the square camera of `size` pixels whose image the points (n,3), world units, seen from
+    `direction` (3,), just fill; z upwards.
 
     direction: from the points towards the camera, any length. Raises InputError for a direction along z.
     """
@@ -36,7 +38,7 @@ def framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camer
     seen = points @ rotation.T
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     x, y, z = (seen - middle).T
-    # A point at lateral offset x and depth distance + z is in view if |x| <= tan(angle / 2) · (distance + z).
+    # A point at offset x and depth distance + z is in view if |x| <= tan(angle / 2) · (distance + z).
     distance = float((MARGIN * np.maximum(abs(x), abs(y)) / np.tan(np.radians(FIELD_OF_VIEW) / 2) - z).max())
     target = rotation.T @ middle
     return look_at(target + distance * unit, target, size, FIELD_OF_VIEW)
@@ -55,23 +57,16 @@ def render_flat(
 ) -> np.ndarray:
     """Return an image (size,size,3) float32 in [0,1] of opaque triangles over white.
 
-    vertices (V,3) world units, faces (F,3). direction: from the object towards the camera, up: upwards in the image; world axes,
-    any length. frame: points (n,3), world units, that the image is fitted to (default: the object's own), so that pictures of one
-    shape agree.
-    material: RGB, or one per face (F,3). inside: a second colour, unshaded, for faces seen from behind (a closed surface that
-    was cut open then shows its cut filled). Raises InputError for arrays of other shapes, nothing to draw or no direction.
+    vertices (V,3) world units, faces (F,3). direction: from the object towards the camera, up: upwards in the
+    image; world axes, any length. frame: points (n,3), world units, that the image is fitted to (default: the
+    object's own), so that pictures of one shape agree. material: RGB, or one per face (F,3). inside: a second
+    colour, unshaded, for faces seen from behind (a closed surface that was cut open then shows its cut
+    filled). Raises InputError for arrays of other shapes, nothing to draw or no direction.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    if (
-        vertices.ndim != 2
-        or vertices.shape[1] != 3
-        or faces.ndim != 2
-        or faces.shape[1] != 3
-        or not len(faces)
-    ):
-        raise InputError(
-            f"a picture needs vertices (V,3) and faces (F,3), at least one, got {vertices.shape} and {faces.shape}"
-        )
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not len(faces):
+        shapes = f"{vertices.shape} and {faces.shape}"
+        raise InputError(f"a picture needs vertices (V,3) and faces (F,3), at least one, got {shapes}")
     if size < 1:
         raise InputError(f"a picture needs at least one pixel, got {size}")
     turn = _upright(np.asarray(up, dtype=np.float64))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
-from paper_artifact.certify.certificate import Certificate, certify
+from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars
@@ -16,22 +16,21 @@ from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 
 BUDGET_BY_CLASS = (700, 700, 1200)  # triangles N of the component, loop and void class (paper §4)
+FEWEST = 16  # points of a rung
 KEPT_ABOVE = 0.2  # margins below this fraction of the floor are sampling noise and not kept
 
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """name: as the command line was given it; mesh: welded; rungs: one per density and seed; decision: of the first seed's
-    rungs; bundle: None when nothing is measurable; diagram: bars (k,2), radius / diagonal, at the working density else the
-    largest, first seed."""
+    """What was measured of a mesh, and what follows for training it."""
 
-    name: str
-    mesh: Mesh
+    name: str  # as the command line was given it
+    mesh: Mesh  # welded
     certificate: Certificate
-    rungs: tuple[Rung, ...]
-    decision: Decision
-    bundle: Bundle | None
-    diagram: Diagram
+    rungs: tuple[Rung, ...]  # of the staircase, one per density and seed
+    decision: Decision  # from the first seed's rungs
+    bundle: Bundle | None  # of the first seed; None when nothing is measurable
+    diagram: Diagram  # of the first seed at the chosen density, else at the largest; radius / diagonal
 
     @property
     def commands(self) -> tuple[str, ...]:
@@ -72,20 +71,21 @@ def audit_mesh(
     first_seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Audit:
-    """Certify `mesh` (loaded with or without its weld), measure its staircase, decide, and build the bundle.
+    """Return the Audit of `mesh` (with or without its weld): certificate, staircase, decision and bundle.
 
     densities: M of the staircase, the working ones are added; seeds: the staircase's sampling seeds, from
-    `first_seed` on; the decision and the bundle are first_seed's;
-    progress: called with a line before each measurement. Raises InputError for a mesh without area or densities below 16.
+    `first_seed` on; the decision and the bundle are first_seed's; progress: called with a line before each
+    measurement. Raises InputError for a mesh without area or densities below 16.
     """
-    if min((*densities, *working)) < 16 or seeds < 1 or first_seed < 0:
+    smallest = min((*densities, *working))
+    if smallest < FEWEST or seeds < 1 or first_seed < 0:
         raise InputError(
-            f"an audit needs densities of at least 16 points, one seed or more and none negative, got {min((*densities, *working))}, "
-            f"{seeds} and {first_seed}"
+            f"an audit needs densities of at least {FEWEST} points, one seed or more and none negative, "
+            f"got {smallest}, {seeds} and {first_seed}"
         )
-    certificate = certify(mesh.vertices, mesh.faces, mesh.name)
+    certificate = certify_mesh(mesh)
     if not certificate.passed and not certificate.closed:
-        as_boundary = certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=True)
+        as_boundary = certify_mesh(mesh, with_boundary=True)
         certificate = as_boundary if as_boundary.passed else certificate
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name, mesh.betti)
     rungs, diagrams = [], {}
@@ -109,7 +109,15 @@ def audit_mesh(
             dimensions=decision.dimensions,
         )
     shown = diagrams[decision.samples if decision.samples is not None else max(diagrams)]
-    return Audit(name or mesh.name, mesh, certificate, tuple(rungs), decision, bundle, shown)
+    return Audit(
+        name=name or mesh.name,
+        mesh=mesh,
+        certificate=certificate,
+        rungs=tuple(rungs),
+        decision=decision,
+        bundle=bundle,
+        diagram=shown,
+    )
 
 
 def _margins(bars, floor: float) -> tuple[float, ...]:

@@ -1,0 +1,138 @@
+"""ARCHITECTURE.md says which room may use which, and the code keeps to it: every import is read, the ones inside functions too."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+from paper_artifact.files import REPOSITORY
+
+PACKAGE = REPOSITORY / "paper_artifact"
+FILES = sorted(PACKAGE.rglob("*.py"))
+FRONT = ("paper_artifact", "paper_artifact.__main__")  # the package's face; only the command line is behind it
+ALLOWED: dict[tuple[str, str], str] = {}  # (importing module, imported module): the reason; empty, and meant to stay so
+
+
+def rooms() -> list[str]:
+    """Return the rooms in the order of the table in ARCHITECTURE.md: a room uses those above it only."""
+    text = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    table = text.split("## The rooms")[1].split("\n## ")[0]
+    return re.findall(r"^\| `([\w.]+)` \|", table, re.MULTILINE)
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(REPOSITORY).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in FILES}
+
+
+def imported(source: str, modules=MODULES) -> set[str]:
+    """Return the project's modules that a source names: imports anywhere in it, and names in strings that are loaded later."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are written in full"
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in modules else str(node.module) for name in inner}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found |= {node.value.rstrip(".")} & modules.keys()  # "paper_artifact.cli." + a name that comes later
+    return {name for name in found if name.partition(".")[0] == "paper_artifact"}
+
+
+def room_of(module: str) -> str:
+    """Return the room of a module: `report.kit` is one by itself; the package's face is in none."""
+    inside = module.partition(".")[2]
+    return next((room for room in ("report.kit",) if f"{inside}.".startswith(f"{room}.")), inside.split(".")[0])
+
+
+def upward(module: str, source: str) -> set[str]:
+    """Return what `module` imports from rooms below its own in the table."""
+    order = rooms()
+    own = order.index(room_of(module))
+    return {name for name in imported(source) if name != "paper_artifact" and order.index(room_of(name)) > own}
+
+
+def test_the_table_has_every_room_once():
+    inside = {room_of(module) for module in MODULES if module not in FRONT}
+    assert len(rooms()) == len(set(rooms()))
+    assert set(rooms()) == inside
+
+
+@pytest.mark.parametrize("module", [module for module in MODULES if module not in FRONT])
+def test_no_arrow_runs_back_up(module):
+    wrong = {name for name in upward(module, MODULES[module].read_text()) if (module, name) not in ALLOWED}
+    assert not wrong, f"{module} may not use {', '.join(sorted(wrong))} (ARCHITECTURE.md, The rooms)"
+
+
+def test_an_arrow_that_runs_back_up_would_be_seen():
+    for source in (
+        "import paper_artifact.study.sweep",
+        "from paper_artifact.study import sweep",
+        "def late():\n    from paper_artifact.study.sweep import sweep",
+        "load('paper_artifact.study.sweep')",
+        "load(f'paper_artifact.study.{name}')",
+    ):
+        assert upward("paper_artifact.alpha.diagrams", source), source
+        assert not upward("paper_artifact.report.matrix", source), source
+
+
+def test_no_two_modules_import_each_other():
+    graph = {module: imported(path.read_text()) - {module} for module, path in MODULES.items()}
+    for package in [name for name, path in MODULES.items() if path.name == "__init__.py"]:
+        # A package's face re-exports its modules; a module inside may be imported through the face's name.
+        graph[package] = {name for name in graph[package] if not name.startswith(package + ".")}
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(" → ".join(error.args[1]))
+
+
+def outsiders(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text())
+    names = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    names += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    tops = {str(name).partition(".")[0] for name in names}
+    return tops - set(sys.stdlib_module_names) - {"paper_artifact"}
+
+
+def test_the_persistence_stands_alone():
+    alpha = [path for module, path in MODULES.items() if room_of(module) == "alpha"]
+    used = {room_of(name) for path in alpha for name in imported(path.read_text())}
+    assert used - {"alpha"} == {"errors"}
+    assert set().union(*map(outsiders, alpha)) == {"numpy", "numba", "torch", "gudhi"}
+    code = (
+        "import sys, paper_artifact.alpha; print(sorted({name.split('.')[1] for name in sys.modules "
+        "if name.startswith('paper_artifact.')}), 'gudhi' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "['alpha', 'errors'] False", "gudhi is the oracle, loaded when asked for"
+
+
+def test_the_rooms_of_the_method_need_no_extra():
+    method = rooms()[: rooms().index("pipeline") + 1]
+    pandas = {
+        module
+        for module, path in MODULES.items()
+        if room_of(module) in method and outsiders(path) & {"pandas", "matplotlib", "nbformat", "papermill"}
+    }
+    assert not pandas
+
+
+def test_modules_are_short_and_say_what_they_are():
+    lengths = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}
+    assert max(lengths.values()) <= 400, max(lengths, key=lengths.get)
+    assert median(lengths.values()) <= 120
+    for module, path in MODULES.items():
+        if path.read_text().strip():
+            assert ast.get_docstring(ast.parse(path.read_text())), f"{module} has no docstring"
