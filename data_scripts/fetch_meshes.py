@@ -1,4 +1,5 @@
-"""Fetch the external meshes of meshes.csv into data_scripts/downloads/: the same as `python -m paper_artifact fetch`.
+"""Fetch the external meshes of meshes.csv into data_scripts/downloads/: the same as `python -m paper_artifact
+fetch`.
 
 The table names repository, commit, path, sha256 and licence of each file; no mesh is part of this project.
 """

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -86,8 +87,12 @@ def load_npz(path: Path | str) -> dict[str, Any]:
 
     try:
         # Opened here, because numpy leaves the file open when it is no sound archive.
-        with open(path, "rb") as handle, np.load(handle) as stored:
-            return dict(stored)
+        with open(path, "rb") as handle:
+            if not zipfile.is_zipfile(handle):
+                raise ValueError("it is cut off or no .npz archive")
+            handle.seek(0)
+            with np.load(handle) as stored:
+                return dict(stored)
     except OSError:
         raise
     except Exception as error:  # numpy, zipfile and zlib raise many kinds

@@ -12,10 +12,10 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Iterator, Sequence
 
 import nbformat
 from nbformat import NotebookNode
@@ -27,23 +27,25 @@ NOTEBOOKS = REPOSITORY / "notebooks"
 EXECUTED = RESULTS / "executed"
 PROFILES = ("recorded", "full")
 KERNEL = "python3"
+LONGEST_ERROR = 160  # characters of an error in the table
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One executed notebook: its name, wall time in seconds, and `error` ("" when it ran to its end)."""
+class Execution:
+    """What became of one notebook."""
 
     name: str
-    seconds: float
-    error: str
+    seconds: float  # wall time
+    error: str  # "" when it ran to its end
 
 
 def notebook_files(folder: Path = NOTEBOOKS, only: Sequence[str] = ()) -> list[Path]:
-    """Return the folder's notebooks in name order; with `only`, those whose name starts with one of the given words.
+    """Return the folder's notebooks in name order; with `only`, those whose name starts with one of its
+    words.
 
     Raises InputError when there is none, or when a word of `only` names none.
     """
-    files = sorted(path for path in folder.glob("*.ipynb"))
+    files = sorted(folder.glob("*.ipynb"))
     if not files:
         raise InputError(f"there are no notebooks in {folder}; restore them with git")
     chosen: set[Path] = set()
@@ -60,7 +62,8 @@ def notebook_files(folder: Path = NOTEBOOKS, only: Sequence[str] = ()) -> list[P
 
 @contextmanager
 def own_kernel() -> Iterator[str]:
-    """Name a kernel that is this interpreter, whatever kernels the user's machine has under the same name.
+    """Yield the name of a kernel that is this interpreter, whatever kernels the user's machine has under the
+    same name.
 
     Jupyter looks into JUPYTER_PATH first, so a kernel description in a temporary folder there wins.
     """
@@ -70,21 +73,8 @@ def own_kernel() -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="paper_artifact-kernel-") as folder:
         spec = Path(folder) / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
-        spec.write_text(
-            json.dumps(
-                {
-                    **get_kernel_dict(),
-                    "argv": [
-                        sys.executable,
-                        "-m",
-                        "ipykernel_launcher",
-                        "-f",
-                        "{connection_file}",
-                        "--log-level=ERROR",
-                    ],
-                }
-            )
-        )
+        module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]
+        spec.write_text(json.dumps(get_kernel_dict() | {"argv": [sys.executable, *module]}))
         os.environ["JUPYTER_PATH"] = folder if not before else folder + os.pathsep + before
         try:
             yield KERNEL
@@ -97,7 +87,7 @@ def own_kernel() -> Iterator[str]:
 
 def execute(
     path: Path, profile: str, *, executed: Path = EXECUTED, refresh: bool = False, quiet: bool = False
-) -> Outcome:
+) -> Execution:
     """Execute one notebook with the parameter `profile` and keep the executed copy in `executed`.
 
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
@@ -135,7 +125,7 @@ def execute(
         raise
     except Exception as caught:  # a dead kernel, a file that is no notebook: the others still run
         error = f"{type(caught).__name__}: {caught}"
-    return Outcome(path.stem, time.monotonic() - start, " ".join(error.split()))
+    return Execution(path.stem, time.monotonic() - start, " ".join(error.split()))
 
 
 def cleaned(notebook: NotebookNode) -> NotebookNode:
@@ -169,13 +159,13 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
     return result
 
 
-def outcome_table(outcomes: Sequence[Outcome]) -> str:
-    """Return the table notebook / time / status as aligned text, one line per outcome."""
-    width = max([len("notebook"), *(len(outcome.name) for outcome in outcomes)])
+def execution_table(executions: Sequence[Execution]) -> str:
+    """Return the table notebook / time / status as aligned text, one line per notebook."""
+    width = max([len("notebook"), *(len(each.name) for each in executions)])
     lines = [f"{'notebook':<{width}}  {'time':>8}  status"]
-    for outcome in outcomes:
-        minutes, seconds = divmod(round(outcome.seconds, 1), 60)
-        error = outcome.error if len(outcome.error) <= 160 else outcome.error[:157] + "..."
+    for each in executions:
+        minutes, seconds = divmod(round(each.seconds, 1), 60)
+        error = each.error if len(each.error) <= LONGEST_ERROR else each.error[: LONGEST_ERROR - 3] + "..."
         status = f"FAILED: {error}" if error else "ok"
-        lines.append(f"{outcome.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {status}")
+        lines.append(f"{each.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {status}")
     return "\n".join(lines)

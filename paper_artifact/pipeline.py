@@ -104,6 +104,7 @@ def run(
     mesh = mesh if mesh is not None else find_mesh(config.shape)
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
         return _matching(read_record(recorded), recorded, config, mesh)
+    term, bundle = make_run_term(config, mesh)  # before the scene: a loss without a target is told at once
     path = record_path(config, results / "runs")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +114,6 @@ def run(
         ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
-    term, bundle = make_run_term(config, mesh)
     importance = make_run_importance(config, mesh)
     allocating = importance is not None and config.allocation.levers == "resampling"
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
@@ -134,7 +134,7 @@ def run(
         resampler=allocating_resampler(config, importance) if allocating else None,
         importance=importance(scene.points) if importance is not None and not allocating else None,
     )
-    holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.images[scene.holdout])
+    holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.colours(scene.holdout))
     sections: dict[str, Any] = {
         "images": {
             "psnr": round(holdout["psnr"], 4),

@@ -32,7 +32,8 @@ def plate(holes: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def band(length: int, twist: bool, width: int = 3, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """A strip of quads glued at its ends, with a half twist or without; `closed` glues the sides too (torus, Klein bottle).
+    """A strip of quads glued at its ends, with a half twist or without; `closed` glues the sides too (torus,
+    Klein bottle).
 
     The points are of no use but to be different ones: the topology is in the faces.
     """
@@ -40,7 +41,7 @@ def band(length: int, twist: bool, width: int = 3, closed: bool = False) -> tupl
     index = np.arange(length * rows).reshape(length, rows)
     after = np.concatenate([index[1:], (index[:1, ::-1] if twist else index[:1])])
     faces = []
-    for here, there in zip(index, after):
+    for here, there in zip(index, after, strict=True):
         for i in range(width):
             j = (i + 1) % rows
             faces += [[here[i], there[i], there[j]], [here[i], there[j], here[j]]]
@@ -51,7 +52,7 @@ def band(length: int, twist: bool, width: int = 3, closed: bool = False) -> tupl
 def joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(
-        [np.asarray(faces) + offset for (_, faces), offset in zip(parts, offsets)]
+        [np.asarray(faces) + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)]
     )
 
 

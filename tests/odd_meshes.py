@@ -12,7 +12,8 @@ NOISE = np.random.default_rng(7).integers(0, 256, 4096, dtype=np.uint8).tobytes(
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 TETRAHEDRON = CORNERS + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 PLY_HEAD = (
-    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face {}\n"
+    "ply\nformat ascii 1.0\nelement vertex 3\n"
+    "property float x\nproperty float y\nproperty float z\nelement face {}\n"
     "property list uchar int vertex_indices\nend_header\n"
 )
 

@@ -1,4 +1,5 @@
-"""Hand-made run records of the study's configurations, for tests of the reports: a tail per run, smooth trajectories."""
+"""Hand-made run records of the study's configurations, for tests of the reports: a tail per run, smooth
+trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ BETTI = {
 def study_record(
     shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None
 ) -> dict:
-    """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in the others."""
+    """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in
+    the others."""
     config, row = study_config(shape, condition, seed), shape_row(shape)
     dimension = row.judged
     counts = list(counts or row.features)

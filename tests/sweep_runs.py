@@ -1,4 +1,5 @@
-"""Two runs of the smallest kind for the sweep's tests, and a way to stop one in the middle, at a step that is known."""
+"""Two runs of the smallest kind for the sweep's tests, and a way to stop one in the middle, at a step that is
+known."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ CONFIGS = tuple(
 )
 STEP = 8  # of the checkpoint after which `blocked_run` stops
 
-# Imported by every Python that finds it on PYTHONPATH. The first run that writes its checkpoint of STEP leaves a marker and waits
-# for ever; all others go on.
+# Imported by every Python that finds it on PYTHONPATH. The first run that writes its checkpoint of STEP
+# leaves a marker and waits for ever; all others go on.
 _BLOCK = """
 import os, sys, time
 from importlib.machinery import PathFinder
@@ -69,7 +70,8 @@ sys.meta_path.insert(0, Finder)
 
 @dataclass
 class Marker:
-    """What a stopped run leaves: pid: of its process, parent: of the process that started it, step: of its last checkpoint."""
+    """What a stopped run leaves: pid: of its process, parent: of the process that started it, step: of its
+    last checkpoint."""
 
     path: Path
     step: int = STEP
@@ -85,7 +87,8 @@ class Marker:
 
 
 def blocked_run(folder: Path, monkeypatch) -> Marker:
-    """Let the first run that is started from now on stop after its checkpoint of STEP, until its process is killed."""
+    """Let the first run that is started from now on stop after its checkpoint of STEP, until its process is
+    killed."""
     (folder / "path").mkdir()
     (folder / "path" / "sitecustomize.py").write_text(_BLOCK.replace("STEP", str(STEP)))
     monkeypatch.setenv(

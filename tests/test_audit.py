@@ -1,5 +1,6 @@
-"""Audit: the rule against every decision of the paper, bundles that training builds again, the report, and meshes with nothing to
-measure."""
+"""Audit: the rule against every decision of the paper, bundles that training builds again, the report, and
+meshes with nothing to measure.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ import trimesh
 from paper_artifact import cli
 from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
-from paper_artifact.audit.rule import Rung, decide
+from paper_artifact.audit.rule import DENSITIES, Rung, decide
 from paper_artifact.audit.view import light_mesh
 from paper_artifact.catalogue import study_config
 from paper_artifact.certify.certificate import certify
@@ -28,7 +29,7 @@ from paper_artifact.scene.find import find_mesh
 from paper_artifact.topology.bundle import load_bundle
 from tests import certify_shapes as shapes
 
-SMALL = dict(densities=(256, 512), working=(256, 512))
+SMALL = {"densities": (256, 512), "working": (256, 512)}
 CLOSED = certify(*shapes.ball())
 OPEN = certify(*shapes.bowl(), with_boundary=True)
 
@@ -38,8 +39,8 @@ def rung(samples: int, h0: int, h1: int, h2: int, margin: float = 1.5) -> Rung:
     return Rung(samples, 0, 0.05, tuple((margin,) * count + (0.4,) for count in (h0 - 1, h1, h2)))
 
 
-# shape: certified Betti numbers, signatures at M = 2048, 4096, 8192, 20000 (notes and paper, Tables S3, S5, S11), class, M,
-# dimensions, complete
+# shape: certified Betti numbers, signatures at M = 2048, 4096, 8192, 20000 (Tables S3, S5, S11), class,
+# M, dimensions, complete
 STUDY = {
     "sphere": ((1, 0, 1), ["101", "101", "101", "101"], 2, 2048, (2,), True),
     "torus": ((1, 2, 1), ["120", "121", "121", "121"], 1, 2048, (1,), True),
@@ -58,7 +59,7 @@ STUDY = {
 def test_the_rule_takes_the_papers_decisions(shape):
     betti, signatures, dimension, samples, dimensions, complete = STUDY[shape]
     certificate = OPEN if betti is None else replace(CLOSED, betti=betti)
-    rungs = [rung(m, *map(int, sign)) for m, sign in zip((2048, 4096, 8192, 20_000), signatures)]
+    rungs = [rung(m, *map(int, sign)) for m, sign in zip(DENSITIES[2:], signatures, strict=True)]
     for order in (rungs, rungs[::-1]):
         decision = decide(order, certificate)
         assert (decision.dimension, decision.samples, decision.dimensions, decision.complete) == (

@@ -7,6 +7,7 @@ they were before.
 from __future__ import annotations
 
 import functools
+import json
 import shutil
 
 import pytest
@@ -104,27 +105,75 @@ def test_unknown_names(refused, tmp_path):
     [
         (["--steps", "-5"], "steps must be at least 1, got -5"),
         (["--steps=0"], "steps must be at least 1"),
-        (["--seed=-1"], "seed must not be negative"),
+        (["--seed=-1"], "seed must be at least 0"),
         (["--threads=0"], "--threads must be at least 1"),
         (["--set=budget=0"], "budget must be at least 1"),
-        (["--set=budget=many"], "--set budget takes a number"),
-        (["--set=budget=2.5"], "--set budget takes a number"),
+        (["--set=budget=many"], "budget takes a value of kind int, got 'many'"),
+        (["--set=budget=2.5"], "budget takes a value of kind int, got 2.5"),
         (["--set=views=1"], "views must be at least 2"),
         (["--set=size=9"], "at least 22 pixels"),
         (["--set=vertex_lr=-1"], "vertex_lr must be positive"),
-        (["--set=vertex_lr=1e999"], "vertex_lr must be positive and finite"),
-        (["--set=dump_steps=5"], "dump_steps must be a tuple"),
+        (["--set=vertex_lr=1e999"], "vertex_lr takes a value of kind float, got inf"),
+        (["--set=dump_steps=5.5"], "dump_steps takes a value of kind tuple"),
         (["--set=dump_steps=(5,9999)"], "dump_steps must be a tuple of steps in 1"),
-        (["--set=topology=5"], "topology must be a tuple"),
-        (["--set=background=grey"], "white or black"),
-        (["--set=colour=red"], "unknown configuration colour"),
+        (["--set=topology=5"], "unknown setting topology; choose among shape"),
+        (["--set=background=grey"], "unknown background 'grey'; choose one of white, black"),
+        (["--set=colour=red"], "unknown setting colour; choose among shape"),
         (["--set=steps=5"], "steps has an argument of its own"),
         (["--set=shape=cube"], "shape has an argument of its own"),
+        (["--set=loss=5"], "loss has an argument of its own"),
         (["--set", "budget"], "--set takes NAME=VALUE"),
     ],
 )
 def test_numbers_out_of_range(arguments, words, refused, tmp_path):
     refused(["train", "sphere", "--quiet", *arguments, "--results", tmp_path / "results"], words)
+
+
+@pytest.mark.parametrize(
+    "setting, words",
+    [
+        ("lambda=0.2", "unknown setting lambda; choose among kind, rho, ramp"),
+        ("rho", "--loss takes NAME=VALUE, got 'rho'"),
+        ("rho=many", "rho takes a value of kind float, got 'many'"),
+        ("rho=0", "rho must be positive and finite, got 0"),
+        ("rho=-0.1", "rho must be positive and finite, got -0.1"),
+        ("samples=2", "samples must be at least 4, got 2"),
+        ("samples=2e3", "samples takes a value of kind int, got 2000.0"),
+        ("dimensions=3", "dimensions must be some of 0, 1, 2, or None"),
+        ("dimensions=()", "dimensions must be some of 0, 1, 2, or None"),
+        ("ramp=(0.5,0.2)", "ramp must be two fractions 0 <= start < end <= 1"),
+        ("noise=-1.0", "noise must not be negative, got -1.0"),
+        ("refresh_every=0", "refresh_every must be at least 1 in a run, got 0"),
+        ("kind=homology", "unknown loss kind 'homology'; choose one of topology, repulsion"),
+        ("fallback=skip", "unknown Gabriel fallback 'skip'; choose one of detach"),
+        ("recruitment=3", "recruitment takes a value of kind bool, got 3"),
+    ],
+)
+def test_loss_settings_are_refused_before_anything_is_made(setting, words, refused, tmp_path, monkeypatch):
+    """Unknown names and values out of range: neither mesh nor scene is looked at, let alone built."""
+    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)  # calling it would fail
+    options = ["--quiet", "--condition", "C1", "--results", tmp_path / "results"]
+    refused(["train", "sphere", *options, "--loss", setting], words)
+
+
+def test_a_loss_that_has_nothing_to_act_on(refused, tmp_path):
+    arguments = [*tiny_arguments(), "--results", tmp_path / "results"]
+    refused([*arguments, "--loss=rho=0.2"], "condition C0 adds no loss, so it takes no loss settings (rho)")
+    refused([*arguments, "--condition=C1", "--loss=dimensions=0"], "no significant bar in dimension 0")
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["nope"], "unknown study 'nope'; choose one of baseline"),
+        (["table1", "--shape", "spot"], "has no shape spot; choose among sphere"),
+        (["table1", "--condition", "C9"], "has no condition C9; choose among C0"),
+        (["table1", "--seed", "99"], "has no seed 99; choose among 0"),
+        (["table1", "--executor", "dask"], "belong together; give both or neither"),
+    ],
+)
+def test_sweeps_that_are_no_study(arguments, words, refused, tmp_path):
+    refused(["sweep", *arguments, "--list", "--results", tmp_path / "results"], words)
 
 
 @pytest.mark.parametrize(
@@ -213,6 +262,18 @@ def test_a_record_cut_in_half(refused, tmp_path):
     refused(arguments, str(path), "no run record")
 
 
+def test_a_record_of_another_version(refused, tmp_path):
+    path = recorded(tmp_path / "results", tiny_config(), make_shape("sphere"))
+    arguments = [*tiny_arguments(), "--results", str(tmp_path / "results")]
+    written = json.loads(path.read_text())
+    path.write_text(json.dumps(written | {"version": 1}))
+    refused(arguments, str(path), "has version 1, this code reads 2; run it again")
+    path.write_text(json.dumps(written | {"defaults": 99}))
+    refused(arguments, str(path), "the defaults' version 99 is unknown to this code", "run it again")
+    path.write_text(json.dumps(written | {"config": written["config"] | {"colour": "red"}}))
+    refused(arguments, str(path), "unknown setting colour", "run it again")
+
+
 def test_a_checkpoint_cut_in_half(refused, tiny_results, tmp_path):
     results = tmp_path / "results"
     shutil.copytree(tiny_results, results)
@@ -247,5 +308,9 @@ def test_a_scene_a_soup_and_a_target_that_are_not_there(refused, tmp_path):
     refused(["export", tmp_path / "none.npz", "--quiet", "--out", tmp_path / "out"], "no soup at")
     refused(["evaluate", tmp_path / "none.npz", "--quiet", "--target", "sphere"], "no file at")
     (tmp_path / "text.npz").write_text("no archive")
-    refused(["export", tmp_path / "text.npz", "--quiet", "--out", tmp_path / "out"], "not a readable soup")
+    refused(
+        ["export", tmp_path / "text.npz", "--quiet", "--out", tmp_path / "out"],
+        "not a readable soup",
+        "no .npz archive",
+    )
     refused(["evaluate", tmp_path / "text.npz", "--quiet", "--target", "sphere"], "not a readable soup")

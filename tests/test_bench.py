@@ -10,6 +10,7 @@ from paper_artifact import cli
 from paper_artifact.bench import raster, topology
 from paper_artifact.bench.run import run_row
 from paper_artifact.cli import bench
+from paper_artifact.errors import InputError
 from paper_artifact.soup.initialise import initial_soup
 
 
@@ -37,6 +38,15 @@ def test_loss_rows(tiny_scene, monkeypatch, tmp_path):
     assert (
         len(rows) == 3 and rows[0]["ratio"] == 1 and all(row["ms"] > 0 and row["ratio"] > 0 for row in rows)
     )
+
+
+def test_plan_rows_have_more_pulls_than_points():
+    rows = topology.plan_rows((300, 600), repetitions=1)
+    assert [row["M"] for row in rows] == [300, 600]
+    for row in rows:
+        assert row["pulls"] > row["M"] and row["refresh_ms"] > 0 and row["frozen_ms"] > 0
+    with pytest.raises(InputError, match="at least one repetition"):
+        topology.plan_rows((300,), repetitions=0)
 
 
 def test_run_row_measures_the_training_loop_with_its_term(tiny_results):
@@ -83,8 +93,18 @@ def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
             "seconds": {"photometric": 30.0},
         },
     )
-    assert cli.main(["bench", "raster", "run", "--steps", "10"]) == 0
+    monkeypatch.setattr(
+        "paper_artifact.bench.topology.plan_rows",
+        lambda: [{"M": 2048, "pulls": 3000, "refresh_ms": 30.0, "persistence_ms": 20.0, "frozen_ms": 1.5}],
+    )
+    rows = [{"M": m, "fast_ms": m / 64, "gudhi_ms": m / 8, "ratio": 8.0, "tetrahedra": m} for m in (64, 128)]
+    monkeypatch.setattr("paper_artifact.bench.persistence.persistence_rows", lambda **options: rows)
+    assert cli.main(["bench", "raster", "run", "persistence", "loss", "--steps", "10"]) == 0
     printed = capsys.readouterr().out
+    assert "M =    128   ours      2.0" in printed and "time grows as M^1.00" in printed
+    assert "174 ms at M = 2048, 1920 ms at M = 20000" in printed, "as results/published/text_cost.csv has it"
+    assert "(paper: 46 s beside 33 to 41 s)" in printed
+    assert "M =  2048, 3000 pulls: refresh   30.0 (persistence   20.0)   frozen step   1.50" in printed
     assert "2.50     31.2 × the trainer's" in printed and "that" in printed
     assert (
         "40.0 s of CPU =  20.0 s per thread" in printed

@@ -1,4 +1,6 @@
-"""Camera conventions: COLMAP's pixel coordinates, clip space and NDC, Fibonacci viewpoints, and the solid texture."""
+"""Camera conventions: COLMAP's pixel coordinates, clip space and NDC, Fibonacci viewpoints, and the solid
+texture.
+"""
 
 from __future__ import annotations
 

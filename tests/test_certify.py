@@ -1,5 +1,6 @@
-"""Certificates against surfaces of known homology, gudhi's simplicial homology, trimesh's counts, and the paper's
-dispositions."""
+"""Certificates against surfaces of known homology, gudhi's simplicial homology, trimesh's counts, and the
+paper's dispositions.
+"""
 
 from __future__ import annotations
 

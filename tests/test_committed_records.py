@@ -1,4 +1,5 @@
-"""What results/runs holds is whole, belongs to the study as it is configured now, and its tails follow from its dumps."""
+"""What results/runs holds is whole, belongs to the study as it is configured now, and its tails follow from
+its dumps."""
 
 from __future__ import annotations
 

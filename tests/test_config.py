@@ -1,4 +1,5 @@
-"""Configurations and catalogue: ranges, the paper's defaults, names that new fields and new defaults leave alone."""
+"""Configurations and catalogue: ranges, the paper's defaults, names that new fields and new defaults leave
+alone."""
 
 from __future__ import annotations
 
@@ -108,20 +109,21 @@ def test_a_configuration_survives_json(shape, condition):
     assert config_from(listed) == made
 
 
-# --- what names a run ----------------------------------------------------------------------------------------------------------
+# --- what names a run
 
-# The defaults of version 1, as the first records have them. Whoever changes one raises DEFAULTS_VERSION and notes the old value in
-# FORMER_DEFAULTS; a new field is added to neither.
+# The defaults of version 1, as the first records have them. Whoever changes one raises DEFAULTS_VERSION and
+# notes the old value in FORMER_DEFAULTS; a new field is added to neither.
 VERSION_1 = {
-    "condition": "C0", "seed": 0, "steps": 2500, "budget": 1200, "views": 48, "size": 200, "background": "white", "batch": 4,
-    "vertex_lr": 0.01, "feature_lr": 0.05, "opacity_lr": 0.05, "mlp_lr": 0.01, "final_lr": 0.01, "initial_ratio": 7.5,
-    "resample_every": 100, "split_views": 20, "split_height": 0.2, "samples": 20000, "loss": None,
+    "condition": "C0", "seed": 0, "steps": 2500, "budget": 1200, "views": 48, "size": 200,
+    "background": "white", "batch": 4, "vertex_lr": 0.01, "feature_lr": 0.05, "opacity_lr": 0.05,
+    "mlp_lr": 0.01, "final_lr": 0.01, "initial_ratio": 7.5, "resample_every": 100,
+    "split_views": 20, "split_height": 0.2, "samples": 20000, "loss": None,
     "dump_steps": (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500),
 }  # fmt: skip
 LOSS_VERSION_1 = {
-    "kind": "topology", "rho": 0.1, "ramp": (0.2, 0.5), "recruitment": True, "noise": 0.0, "repulsion_radius": 4.0,
-    "curvature_weighted": False, "samples": 2048, "dimensions": None, "bundle_seed": 0, "refresh_every": 10,
-    "floor_source": "bundle", "fallback": "detach", "method": "fast",
+    "kind": "topology", "rho": 0.1, "ramp": (0.2, 0.5), "recruitment": True, "noise": 0.0,
+    "repulsion_radius": 4.0, "curvature_weighted": False, "samples": 2048, "dimensions": None,
+    "bundle_seed": 0, "refresh_every": 10, "floor_source": "bundle", "fallback": "detach", "method": "fast",
 }  # fmt: skip
 
 
@@ -175,7 +177,7 @@ def test_a_changed_default_keeps_the_names_of_older_runs(monkeypatch):
         config_from({"shape": "sphere"}, 3)
 
 
-# --- the catalogue -------------------------------------------------------------------------------------------------------------
+# --- the catalogue
 
 
 def test_a_damaged_catalogue_is_refused(monkeypatch):

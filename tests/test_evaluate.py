@@ -149,11 +149,11 @@ def test_dump_of_a_shrunken_sphere_reads_the_known_change(tmp_path):
     assert target.dimension == 2 and target.counts == (0, 0, 1)
     again = make_target(icosphere(), count=4000, cache=tmp_path)
     assert len(list(tmp_path.glob("*.npz"))) == 1 and again.floor == target.floor
-    for bars, cached in zip(target.diagram, again.diagram):
+    for bars, cached in zip(target.diagram, again.diagram, strict=True):
         np.testing.assert_array_equal(bars, cached)
     vertices = icosphere(0.9).vertices[icosphere().faces]
     dump = evaluate_soup(vertices, np.full((len(vertices), 3), 0.8), target, seed=1, step=500)
-    # The void's death is the sphere's radius over the diagonal: a tenth of 1 / D is lost, and every point is .1 off.
+    # The void's death is the sphere's radius / diagonal: a tenth of 1 / D is lost, and every point is .1 off.
     assert dump["step"] == 500 and dump["counts"] == [0, 0, 1]
     assert dump["bottleneck"][2] == pytest.approx(0.1 / target.diagonal, rel=0.1)
     assert dump["chamfer"] == pytest.approx(0.1 / target.diagonal, rel=0.05)

@@ -23,7 +23,7 @@ def determinant(rows: list[list[Fraction]]) -> Fraction:
 
 def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
     exact = [[Fraction(float(x)) for x in p] for p in points]
-    return [[x - y for x, y in zip(p, exact[base])] for k, p in enumerate(exact) if k != base]
+    return [[x - y for x, y in zip(p, exact[base], strict=True)] for k, p in enumerate(exact) if k != base]
 
 
 def near_degenerate(k: int) -> np.ndarray:
@@ -49,23 +49,25 @@ def test_predicates_have_the_sign_of_rational_arithmetic(part):
         # tetrahedron (Shewchuk).
         assert np.sign(predicates.insphere(points, 0, 1, 2, 3, 4, WS)) == np.sign(sphere_sign)
         a, b = fractions(points[:3], 2)
-        assert predicates.edge_excludes(points, 0, 1, 2, WS) == (sum(x * y for x, y in zip(a, b)) >= 0)
+        assert predicates.edge_excludes(points, 0, 1, 2, WS) == (
+            sum(x * y for x, y in zip(a, b, strict=True)) >= 0
+        )
         u, v, w = fractions(points[:4], 3)
         normal = [v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]]
         if any(normal):  # centre of the circle through 0, v, w, then the power of u
             vv, ww = sum(x * x for x in v), sum(x * x for x in w)
-            side = [vv * q - ww * p for p, q in zip(v, w)]
+            side = [vv * q - ww * p for p, q in zip(v, w, strict=True)]
             towards = cross(side, normal)
             nn = sum(x * x for x in normal)
             # The circumcentre solves 2 c·v = |v|²: it fixes the sign of the cross product.
             for sign in (1, -1):
                 centre = [sign * x / (2 * nn) for x in towards]
                 if (
-                    2 * sum(c * x for c, x in zip(centre, v)) == vv
-                    and 2 * sum(c * x for c, x in zip(centre, w)) == ww
+                    2 * sum(c * x for c, x in zip(centre, v, strict=True)) == vv
+                    and 2 * sum(c * x for c, x in zip(centre, w, strict=True)) == ww
                 ):
                     break
-            power = sum(x * x for x in u) - 2 * sum(c * x for c, x in zip(centre, u))
+            power = sum(x * x for x in u) - 2 * sum(c * x for c, x in zip(centre, u, strict=True))
             assert predicates.triangle_excludes(points, 3, 1, 2, 0, WS) == (power >= 0)
 
 
@@ -94,13 +96,13 @@ def test_circumradii_of_flat_simplices_agree_with_rational_arithmetic():
         u, v, w = fractions(points[:4], 0)
         det = determinant([u, v, w])
         if det != 0:
-            terms = zip(cross(v, w), cross(w, u), cross(u, v))
+            terms = zip(cross(v, w), cross(w, u), cross(u, v), strict=True)
             centre = [(dot(u, u) * x + dot(v, v) * y + dot(w, w) * z) / (2 * det) for x, y, z in terms]
             assert filtration.tetrahedron_value(points, 0, 1, 2, 3, WS) == pytest.approx(
                 float(dot(centre, centre)), rel=1e-10
             )
         area = dot(cross(u, v), cross(u, v))
         if area != 0:
-            third = [x - y for x, y in zip(u, v)]
+            third = [x - y for x, y in zip(u, v, strict=True)]
             radius = dot(u, u) * dot(v, v) * dot(third, third) / (4 * area)
             assert filtration.triangle_value(points, 0, 1, 2, WS) == pytest.approx(float(radius), rel=1e-10)

@@ -1,4 +1,6 @@
-"""Exports read back by other readers: trimesh for PLY and GLB, Pillow for PNG, and the bytes inside the HTML view."""
+"""Exports read back by other readers: trimesh for PLY and GLB, Pillow for PNG, and the bytes inside the HTML
+view.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Fetching: against a local server and local mirrors, every failure leaves nothing behind and says what to do."""
+"""Fetching: against a local server and local mirrors, every failure leaves nothing behind and says what to
+do.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ ARCHIVE = _zip("deep/tri.ply", BODY)
 
 @pytest.fixture(autouse=True)
 def table(tmp_path, monkeypatch):
-    """A table with one plain mesh and one archive; no mirror beside the repository and none in the environment."""
+    """A table with one plain mesh and one archive; no mirror beside the repository and none in the
+    environment.
+    """
     path = tmp_path / "meshes.csv"
     rows = [
         ("tri", "data/a b.obj", BODY, "", ""),

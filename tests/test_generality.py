@@ -22,7 +22,8 @@ ARMS = ("C0", "C2", "C1")  # whose soups are committed
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """bob and eight pass, rocker-arm's C1 overlaps its C0; bob's control loses a loop; of the voids only spot's C0."""
+    """bob and eight pass, rocker-arm's C1 overlaps its C0; bob's control loses a loop; of the voids only
+    spot's C0."""
     folder = tmp_path_factory.mktemp("runs")
     means = {
         "bob": {"C0": 0.04, "C1": 0.02, "C2": 0.044},
@@ -102,7 +103,8 @@ def test_every_arm_is_counted_against_the_bundle(study):
 
 
 def test_expected_counts_are_the_bundles():
-    """Of an external mesh the records expect what its clean surface shows at the density of the loss, measured again."""
+    """Of an external mesh the records expect what its clean surface shows at the density of the loss,
+    measured again."""
     runs = frames.runs(collect_study("table2"))
     for shape in ("bob", "rocker-arm", "spot"):
         row = shape_row(shape)

@@ -26,7 +26,9 @@ def coarse_shape(name: str) -> Mesh:
 
 
 def cast(mesh: Mesh, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest hit of the ray through every pixel centre: world positions (H,W,3), NaN where missed, and depths (H,W)."""
+    """Nearest hit of the ray through every pixel centre: world positions (H,W,3), NaN where missed, and
+    depths (H,W).
+    """
     column, row = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     rays = (
         np.stack(

@@ -1,4 +1,6 @@
-"""Ingest: exact distances against trimesh, shells of known topology, pockets, bit-identical rebuilds, the pot and the teapot."""
+"""Ingest: exact distances against trimesh, shells of known topology, pockets, bit-identical rebuilds, the pot
+and the teapot.
+"""
 
 from __future__ import annotations
 
@@ -167,11 +169,11 @@ def test_a_shell_that_fails_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (dict(offset=0.0), "offset must be"),
-        (dict(offset=0.9), "offset must be"),
-        (dict(offset=np.nan), "offset must be"),
-        (dict(cells=0.5), "at least one grid cell"),
-        (dict(offset=1e-4), "take a larger offset"),
+        ({"offset": 0.0}, "offset must be"),
+        ({"offset": 0.9}, "offset must be"),
+        ({"offset": np.nan}, "offset must be"),
+        ({"cells": 0.5}, "at least one grid cell"),
+        ({"offset": 1e-4}, "take a larger offset"),
     ],
 )
 def test_bad_sizes_are_refused(arguments, words):

@@ -1,4 +1,4 @@
-"""Meshes: exact welding, polygons, scene files, and every input that must be refused with a clear sentence."""
+"""Meshes: exact welding, polygons, scene files, and every input that must be refused in a clear sentence."""
 
 from __future__ import annotations
 
@@ -86,7 +86,8 @@ def test_face_areas_against_trimesh():
 
 
 PLY = (
-    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "ply\nformat ascii 1.0\nelement vertex 3\n"
+    "property float x\nproperty float y\nproperty float z\nelement face 1\n"
     "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n"
 )
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"

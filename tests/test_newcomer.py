@@ -1,7 +1,8 @@
-"""A newcomer adds a condition, a shape and a study as CONTRIBUTING.md says, in a fork of their own, and touches no other file.
+"""A newcomer adds a condition, a shape and a study as CONTRIBUTING.md says, in a fork of their own, and
+touches no other file.
 
-The fork is a copy of the package with four insertions: the condition's row and the shape's row in the catalogue, the shape's
-geometry, the study's runs. Everything below happens in processes that import the fork.
+The fork is a copy of the package with four insertions: the condition's row and the shape's row in the
+catalogue, the shape's geometry, the study's runs. Everything below happens in processes that import the fork.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ def pebble() -> Mesh:
 '''
 # file, the table in it, the row to add
 ROWS = (
-    ("catalogue.py", "SHAPES", 'Shape("pebble", "analytic", 2, (0, 0, 1), budget=200, samples=1024, dimensions=(2,)),'),
+    ("catalogue.py", "SHAPES", 'Shape("pebble", "analytic", 2, (0, 0, 1), 200, 1024, (2,)),'),
     ("catalogue.py", "CONDITIONS", 'Condition("C8", "C1 twice as strong", "#123456", LossConfig(rho=0.2)),'),
-    ("scene/shapes.py", "_BUILDERS", '"pebble": pebble,'),
+    ("scene/shapes.py", "SHAPES", '"pebble": pebble,'),
     ("study/studies.py", "STUDIES", '"pebbles": (Block(("pebble",), ("C0", "C2", "C8"), range(1)),),'),
 )
 SETTINGS = {name: value for name, value in TINY.items() if name not in ("steps", "dump_steps", "budget")}
@@ -63,11 +64,12 @@ from paper_artifact.study.verdict import rows_of, verdict
 
 records = tuple(find_records("results/runs"))
 collected = Collected(records, (), Path("results"))
+matrix = tables.matrix_table(collected)
 lines = tables.trajectory_figure(collected).axes[0].get_lines()
 judged = verdict(rows_of(records), loss="C8")["pebble"]
 print(json.dumps({
     "arms": frames.arms(collected)[["shape", "condition", "ratio"]].astype(str).values.tolist(),
-    "matrix": [tables.matrix_table(collected).index.tolist(), tables.matrix_table(collected).columns.tolist()],
+    "matrix": [matrix.index.tolist(), matrix.columns.tolist()],
     "seeds": tables.seed_table(collected).reset_index()["condition"].tolist(),
     "verdicts": tables.verdict_table(collected).index.tolist(),
     "lines": {line.get_label(): to_hex(line.get_color()) for line in lines},
@@ -134,9 +136,12 @@ def test_only_three_files_differ(fork):
 
 
 def test_the_made_up_condition_and_shape_are_trained_swept_tabulated_plotted_and_judged(fork):
-    settings = [f"--set={name}={value}".replace(" ", "") for name, value in SETTINGS.items() if name != "steps"]
+    settings = [
+        f"--set={name}={value}".replace(" ", "") for name, value in SETTINGS.items() if name != "steps"
+    ]
     trained = fork.run(
-        *("-m", "paper_artifact", "train", "pebble", "--condition", "C8", "--steps", "20", "--quiet", *settings)
+        *["-m", "paper_artifact", "train", "pebble", "--condition", "C8", "--steps", "20", "--quiet"],
+        *settings,
     )
     assert "pebble C8 seed 0; tail bottleneck H2" in trained
     assert "missing: pebble C8 seed 0" in fork.run("-m", "paper_artifact", "sweep", "pebbles", "--list")

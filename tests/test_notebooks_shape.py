@@ -1,4 +1,6 @@
-"""What every committed notebook must look like. nbval compares outputs, but passes a stripped notebook: so this."""
+"""What every committed notebook must look like. nbval compares outputs, but passes a stripped notebook: so
+this.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,7 @@ def test_outputs_are_clean(notebook):
 
 
 def test_figures_have_their_numbers_beside_them(notebook):
-    """nbval never compares pictures, so a cell that draws also shows what it drew (a table, printed values)."""
+    """nbval compares no pictures, so a cell that draws also shows what it drew (a table, printed values)."""
     for cell in code_cells(notebook):
         if not any("image/png" in output.get("data", {}) for output in cell.outputs):
             continue

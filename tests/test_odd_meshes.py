@@ -1,5 +1,6 @@
-"""Bad and odd meshes through certify, audit, ingest and scene: a result, or one clear sentence and exit code 1; never a trace,
-never a part of a file."""
+"""Bad and odd meshes through certify, audit, ingest and scene: a result, or one clear sentence and exit code
+1; never a trace, never a part of a file.
+"""
 
 from __future__ import annotations
 

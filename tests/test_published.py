@@ -48,7 +48,7 @@ def test_per_seed_values_have_the_printed_mean_and_sd(shape, condition):
 
 def test_bowls_per_seed_values_have_the_printed_mean_and_sd():
     frame = published("S10")
-    for (shape, condition), rows in frame.groupby(["shape", "condition"]):
+    for _, rows in frame.groupby(["shape", "condition"]):
         mean = rows[rows["seed"].isna()].iloc[0]
         seeds = rows[rows["seed"].notna()]["value"]
         assert len(seeds) == 3 and abs(seeds.mean() - mean["value"]) <= ROUNDING

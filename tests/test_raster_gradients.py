@@ -17,12 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
 from paper_artifact.raster import draws, twin
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.photometric import make_target
-from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera, to_clip
-from paper_artifact.raster.visibility import Fragments
-from tests.raster_cases import BACKGROUND, cameras, distance, doubles, soup_arrays
+from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera
+from tests.raster_cases import BACKGROUND, cameras, distance, doubles, front_camera, soup_arrays
 
 FLIPS = 5e-4  # largest allowed fraction of pixels where the two disagree on the visible triangle
 
@@ -62,7 +62,7 @@ def make_case(
         drawn[-1].render(soup, make_camera(matrix), BACKGROUND, keys[index] if keys else None)
     vertices, _, opacity, *_ = doubles(soup)
     reference = twin.rasterize(vertices, opacity, matrices.double(), *size, keys)
-    seen = np.stack([view.surface.triangle.reshape(size) + 1 for view in drawn])
+    seen = np.stack([view.seen() for view in drawn])
     flipped = torch.from_numpy(seen).long() != reference.triangle
     return Case(
         soup, drawn, [make_camera(matrix) for matrix in matrices], reference, matrices.double(), flipped
@@ -97,10 +97,12 @@ def test_both_see_the_same_triangles_at_the_same_place(stochastic):
     assert case.reference.triangle.bool().float().mean() > 0.2
     assert case.flipped.float().mean() <= FLIPS
     for index, view in enumerate(case.views):
-        same = (~case.flipped[index] & (case.reference.triangle[index] > 0)).reshape(-1).numpy()
-        values = view.fragments.value[view.surface.visible[same]]
-        for column, image in enumerate((case.reference.b0, case.reference.b1, case.reference.depth)):
-            error = np.abs(values[:, column] - image[index].reshape(-1).numpy()[same])
+        pixel, _, b0, b1 = (array[: view.covered] for array in view.shown)
+        assert np.array_equal(np.sort(pixel), np.flatnonzero(view.seen()))
+        same = ~case.flipped[index].reshape(-1).numpy()[pixel]
+        expected = (case.reference.b0, case.reference.b1, case.reference.depth)
+        for values, image in zip((b0, b1, view.surface.depth[pixel]), expected, strict=True):
+            error = np.abs(values - image[index].reshape(-1).numpy()[pixel])[same]
             assert np.quantile(error, 0.99) < 1e-5  # a needle's barycentrics may be worse, but not often
             assert error.max() < 1e-3
 
@@ -118,8 +120,8 @@ def test_shading_and_its_gradients_agree():
     reference.backward(gradient)
     case.receive(gradient)
     found = SoupArrays.of(np.zeros_like(array) for array in case.soup.flat())
-    for view in case.views:
-        view.add_shading_gradient(case.soup.mlp, found.features, found.mlp)
+    for view, camera in zip(case.views, case.cameras, strict=True):
+        view.add_shading_gradient(case.soup, camera.rays, found.features, found.mlp)
     for ours, leaf in zip((found.features, *found.mlp), (features, *weights), strict=True):
         assert distance(ours, leaf.grad) < 1e-5
 
@@ -133,6 +135,65 @@ def test_edge_gradient_agrees():
     assert (per_triangle > 1e-2 * size + 1e-6 * size.max()).float().mean() < 0.02
 
 
+@pytest.mark.parametrize("layer", range(6))
+def test_a_broken_mlp_shows(layer):
+    soup, camera = soup_arrays(2, 60), make_camera(cameras(2, 1)[0].numpy())
+    soup.mlp[layer][...] = np.nan
+    view = ViewRaster(33, 41)
+    view.render(soup, camera, BACKGROUND)
+    assert np.array_equal(np.isnan(view.colour), np.broadcast_to(view.seen() > 0, view.colour.shape))
+
+
+@pytest.mark.parametrize("count", [1, 2, 90])
+@pytest.mark.parametrize("size", [(22, 23), (23, 67), (67, 22), (31, 33), (64, 45), (16, 17)])
+def test_edge_gradient_agrees_at_any_size(size, count):
+    case = make_case(sum(size) + count, count=count, size=size)
+    found, expected = edge_gradients(case, incoming(case, 3, margin=1))
+    assert distance(found, expected) < 1e-4
+
+
+def test_edge_gradient_of_one_triangle_all_over_the_image():
+    """60,000 pairs of one triangle: their sum keeps its precision."""
+    size, soup, camera = (201, 157), soup_arrays(3, 1), make_camera(front_camera()[0].numpy())
+    vertices = np.array([[[-9, -8, 0], [10, -7, 1], [0, 12, -1]]], np.float32)
+    view = ViewRaster(*size)
+    view.render(soup._replace(vertices=vertices, opacity=np.ones((1, 3), np.float32)), camera, BACKGROUND)
+    assert view.seen().all()
+    draw = torch.Generator().manual_seed(3)
+    colour, gradient = (torch.randn(1, 3, *size, generator=draw) for _ in range(2))
+    view.colour[:], view.gradient[:] = colour[0], gradient[0]
+    found = np.zeros_like(vertices)
+    view.add_edge_gradient(camera.matrix, found)
+    leaf, matrix = torch.from_numpy(vertices).double(), torch.from_numpy(camera.matrix).double()[None]
+    reference = twin.rasterize(leaf, torch.ones(1, 3).double(), matrix, *size, None)
+    leaf.requires_grad_()
+    twin.edge_gradient(colour.double(), leaf, reference, matrix).backward(gradient.double())
+    assert distance(found, leaf.grad) < 2e-6
+
+
+def test_edge_gradient_of_no_triangle():
+    view = ViewRaster(23, 35)
+    view.render(soup_arrays(1, 0), make_camera(front_camera()[0].numpy()), BACKGROUND, 7)
+    view.gradient[:] = 1.0
+    view.colour[:] = stream(1, "colour").random(view.colour.shape)
+    found = np.zeros((0, 3, 3), np.float32)
+    view.add_edge_gradient(np.eye(4, dtype=np.float32), found)
+
+
+def test_edge_gradient_of_hidden_triangles_is_none():
+    """Behind the camera, beyond a clip plane, without area, covered by another one: not a bit."""
+    near = np.array([[-3, -3, 0], [4, -3, 0], [0, 5, 0]])
+    others = [near - [0, 0, 9], near + [60, 0, 0], near[[0, 0, 1]], 0.3 * near + [0, 0, 1]]
+    vertices, view = np.stack([near, *others]).astype(np.float32), ViewRaster(33, 41)
+    soup = soup_arrays(1, 5)._replace(vertices=vertices, opacity=np.ones((5, 3), np.float32))
+    camera = make_camera(front_camera()[0].numpy())
+    view.render(soup, camera, BACKGROUND)
+    view.gradient[:] = stream(1, "gradient").normal(size=view.gradient.shape)
+    found = np.zeros_like(vertices)
+    view.add_edge_gradient(camera.matrix, found)
+    assert found[0].any() and not found[1:].any()
+
+
 def test_opacity_gradient_agrees():
     case = make_case(4)
     colour = torch.rand(case.flipped.shape[0], 3, 64, 56, generator=torch.Generator().manual_seed(4))
@@ -141,8 +202,8 @@ def test_opacity_gradient_agrees():
     )
     found = np.zeros_like(case.soup.opacity)
     for view, shown, image in zip(case.views, colour.numpy(), target.numpy(), strict=True):
-        view.colour[:] = shown
-        view.add_opacity_gradient(image, len(case.views), found)
+        view.error[: shown[0].size] = np.abs(shown - image).sum(0).reshape(-1)
+        view.add_opacity_gradient(len(case.views), found)
     opacity = doubles(case.soup)[2].requires_grad_()
     twin.opacity_gradient(opacity, colour.double(), target.double(), case.reference).backward()
     assert distance(found, opacity.grad) < 1e-5
@@ -168,6 +229,23 @@ def test_photometric_loss_and_gradient_agree(size, everywhere):
         gradients.append(view.gradient.copy())
     assert value == pytest.approx(expected.item(), rel=1e-5)
     assert distance(np.stack(gradients), reference.grad) < 1e-4
+
+
+@pytest.mark.parametrize("size", [(22, 67), (31, 16), (45, 23)])
+def test_a_target_of_bytes_gives_the_bits_of_its_fractions(size):
+    draw = torch.Generator().manual_seed(7)
+    levels = torch.randint(0, 256, (3, *size), generator=draw, dtype=torch.uint8).numpy()
+    view = ViewRaster(*size)
+    view.colour[:] = torch.rand(3, *size, generator=draw).numpy()
+    found = []
+    for target in (levels, levels / np.float32(255)):
+        value = view.compare(make_target(target), 2)
+        found.append((value, view.gradient.copy(), view.error[: size[0] * size[1]].copy()))
+    assert found[0][0] == found[1][0]
+    assert np.array_equal(found[0][1], found[1][1]) and np.array_equal(found[0][2], found[1][2])
+    np.testing.assert_allclose(
+        found[0][2], np.abs(view.colour - levels / np.float32(255)).sum(0).reshape(-1), rtol=1e-6
+    )
 
 
 def test_a_target_below_the_window_of_ssim_is_refused():
@@ -205,17 +283,3 @@ def test_any_soup_agrees(seed, count, stochastic):
     assert (torch.from_numpy(case.colour()).double() - reference)[kept].abs().max() < 1e-2
     found, expected = edge_gradients(case, incoming(case, seed, margin=1))
     assert float((torch.from_numpy(found).double() - expected).norm()) <= 1e-3 * float(expected.norm()) + 1e-6
-
-
-@pytest.mark.parametrize("missing", [0, 1, 222])
-def test_a_full_fragment_buffer_is_made_larger(missing):
-    soup, camera = soup_arrays(5, 150), make_camera(cameras(5, 1)[0].numpy())
-    clip = to_clip(soup.vertices, camera.matrix)
-    view, expected = ViewRaster(23, 22), ViewRaster(23, 22).draw(clip, soup.opacity, 7)
-    assert expected.count > 222
-    view.fragments = Fragments.room(expected.count - missing)
-    view.draw(clip, soup.opacity, 7)
-    assert view.count == expected.count <= len(view.fragments.index)
-    assert np.array_equal(view.surface.visible, expected.surface.visible)
-    for ours, theirs in zip(view.fragments, expected.fragments, strict=True):
-        assert np.array_equal(ours[: view.count], theirs[: view.count])

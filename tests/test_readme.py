@@ -1,4 +1,5 @@
-"""The documents say what is there: programs run, commands parse, paths exist, the README names every notebook."""
+"""The documents say what is there: programs run, commands parse, paths exist, the README names every
+notebook."""
 
 from __future__ import annotations
 
@@ -14,15 +15,12 @@ from paper_artifact import cli
 from paper_artifact.files import REPOSITORY
 from paper_artifact.notebooks import NOTEBOOKS
 
-DOCUMENTS = {
-    path.stem: path.read_text(encoding="utf-8")
-    for path in (REPOSITORY / f"{name}.md" for name in ("README", "CONTRIBUTING", "ARCHITECTURE", "CHANGELOG"))
-}
+DOCUMENTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(REPOSITORY.glob("*.md"))}
 TEXT = DOCUMENTS["README"]
 
 
 def blocks(language: str, text: str = TEXT) -> list[str]:
-    """Return the code blocks of that language that stand at the margin; indented ones are parts of something."""
+    """Return the code blocks of that language at the margin; indented ones are parts of something."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
@@ -66,7 +64,8 @@ def test_commands_parse(command):
 
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_paths_exist(document):
-    named = re.findall(r"`((?:paper_artifact|notebooks|data_scripts|results|tests)/[\w./-]*)`", DOCUMENTS[document])
+    folders = "paper_artifact|notebooks|data_scripts|results|tests"
+    named = re.findall(rf"`((?:{folders})/[\w./-]*)`", DOCUMENTS[document])
     # git-ignored, written by the commands
     made = {"results/executed/", "results/scenes/my", "data_scripts/downloads/"}
     assert [path for path in named if path not in made and not (REPOSITORY / path).exists()] == []

@@ -1,4 +1,4 @@
-"""The group wave: stored staircases against a new measurement and the paper, the parsing of quoted bars, polygons."""
+"""The group wave: stored staircases against a new measurement and the paper, quoted bars, polygons."""
 
 from __future__ import annotations
 

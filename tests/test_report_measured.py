@@ -1,4 +1,4 @@
-"""Notebooks 03, 04, 07: staircases, floor windows, costs on small measurements, and the stored measurements."""
+"""Notebooks 03, 04, 07: staircases, floor windows, costs on small measurements; what is stored."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_windows():
 
 
 def test_the_window_s_shapes_are_the_catalogue_s():
-    """Table S13 has every shape that the study bundles: all but the cylinder, which only the allocation study trains."""
+    """Table S13 has every shape that the study bundles: all but the cylinder, of the allocation study."""
     rows = set(published("S13")["shape"]) - {"all"}
     assert rows == {each.name for each in SHAPES if each.group != "allocation"}
 

@@ -12,7 +12,7 @@ from paper_artifact.ingest.hot_pot import pot_solid, raw_pot
 from paper_artifact.report import pot as report
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
-from paper_artifact.report.kit.staircase import DENSITIES
+from paper_artifact.report.kit.staircase import DENSITIES, staircase
 from paper_artifact.scene.shapes import make_shape
 from tests import report_records
 
@@ -24,7 +24,7 @@ def solid():
 
 @pytest.fixture(scope="module")
 def stairs(solid):
-    return report.staircases(solid.shell, (0, 1))
+    return staircase(solid.shell, DENSITIES, (0, 1))
 
 
 def records(**tails):

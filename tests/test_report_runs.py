@@ -87,7 +87,8 @@ def test_without_any_record(tmp_path):
 
 
 def test_frames_share_their_keys(folder):
-    """Runs, arms and the paper's values join by shape and condition; what is not recorded stays, with nothing in it."""
+    """Runs, arms and the paper's values join by shape and condition; what is not recorded stays, with
+    nothing in it."""
     wanted = [("torus", "C0", 0), ("sphere", "C1", 0), ("sphere", "C0", 1), ("sphere", "C0", 0)]
     found = records.collect(wanted, folder=folder)
     runs, arms, paper = frames.runs(found), frames.arms(found), frames.paper_arms("tail_bottleneck", "1")

@@ -22,7 +22,8 @@ MEANS = {"C0": 0.06, "C1": 0.015, "C2": 0.13, "C6": 0.016}
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """The sphere complete but for C2g, C3, C7 and C7h; the torus with one seed of C0, C1, C6; nothing else."""
+    """The sphere complete but for C2g, C3, C7 and C7h; the torus with one seed of C0, C1, C6; nothing
+    else."""
     folder = tmp_path_factory.mktemp("runs")
     runs = {("sphere", name, seed): mean + 0.001 * seed for name, mean in MEANS.items() for seed in range(5)}
     runs |= {("torus", name, 0): 0.04 for name in ("C0", "C1", "C6")}
@@ -80,7 +81,8 @@ def test_figures_draw_what_the_tables_say(study):
 
 
 def test_an_h0_tail_is_the_most_isolated_sample():
-    """On the committed records: half of the bar after the merging one is the bottleneck distance, to the sampling's spacing."""
+    """On the committed records: half of the bar after the merging one is the bottleneck distance, to the
+    sampling's spacing."""
     table = matrix.component_table(collect_study("table1"), "two_spheres")
     assert (table["merging bar"] - table["of the target"]).abs().max() < 0.002
     assert (table["half the next bar"] - table["bottleneck, H0"]).abs().loc[["C0", "C2"]].max() < 0.001

@@ -1,4 +1,5 @@
-"""Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule, hooks, sanity check."""
+"""Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule,
+hooks, sanity check."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ HEIGHT = 40
 
 
 def case(seed: int = 0, count: int = 60, size: float = 0.3) -> Soup:
-    """Return a random soup whose features and opacity logits tell which triangle and corner they come from."""
+    """Return a random soup whose features and opacity logits tell of which triangle and corner they are."""
     parts = random_soup(seed, count, size)
     features = torch.arange(count * 21, dtype=torch.float32).reshape(count, 3, 7) / (count * 21)
     return Soup(
@@ -143,7 +144,7 @@ def test_split_invariants(seed, size, limit, aspect):
     assert np.array_equal(np.unique(origins), np.arange(12))
     np.testing.assert_allclose(np.bincount(origins, areas(children)), areas(corners), rtol=1e-9)
     # The union too: each child lies in its parent, facing the same way; with equal areas they tile it.
-    for child, origin in zip(children, origins):
+    for child, origin in zip(children, origins, strict=True):
         a, b, c = corners[origin]
         weights = np.linalg.lstsq(np.stack([b - a, c - a], 1), (child - a).T, rcond=None)[0].T
         np.testing.assert_allclose(a + weights @ np.stack([b - a, c - a]), child, atol=1e-9)
@@ -196,7 +197,8 @@ def test_children_inherit_features_and_opacity():
     assert torch.equal(after.features, soup.features[origins]) and torch.equal(
         after.opacity, soup.opacity[origins]
     )
-    # Split are exactly the triangles that show an edge above the limit, 2·.25 in NDC, in a drawn view that sees them.
+    # Split are exactly the triangles that show an edge above the limit, 2·.25 in NDC, in a drawn view that
+    # sees them.
     drawn = world_to_clip[stream(7, "split-views", 10).permutation(5)[:3]]
     seen = visible_pixels(soup, drawn, HEIGHT // 2, HEIGHT) > 0
     corners, children = soup.vertices.detach().numpy(), after.vertices.detach().numpy()

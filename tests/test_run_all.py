@@ -1,4 +1,6 @@
-"""run-all on tiny notebooks: order, profile, failures that do not stop the rest, and a refresh that repeats itself."""
+"""run-all on tiny notebooks: order, profile, failures that do not stop the rest, and a refresh that repeats
+itself.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from nbformat import v4
 
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
-from paper_artifact.notebooks import Outcome, cleaned, execute, notebook_files, outcome_table, own_kernel
+from paper_artifact.notebooks import Execution, cleaned, execute, execution_table, notebook_files, own_kernel
 
 PARAMETERS = 'profile = "recorded"'
 
@@ -157,7 +159,7 @@ def test_cleaned_removes_what_changes(tmp_path):
 
 
 def test_table_shows_minutes_and_cuts_long_errors():
-    text = outcome_table([Outcome("a", 61.25, ""), Outcome("longer", 3.0, "x" * 500)])
+    text = execution_table([Execution("a", 61.25, ""), Execution("longer", 3.0, "x" * 500)])
     lines = text.splitlines()
     assert lines[1].split() == ["a", "1:01.2", "ok"]
     assert len(lines) == 3 and len(lines[2]) < 200 and lines[2].endswith("...")

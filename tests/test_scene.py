@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.cli import scene as verb
 from paper_artifact.errors import InputError
+from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder, scene_key
 from paper_artifact.scene.colmap import read_model, write_model
@@ -42,22 +43,22 @@ def damaged(torus_scene, tmp_path):
 def test_a_built_scene_reads_back_with_the_stated_frames(torus_scene):
     scene, mesh = load_scene(torus_scene), make_shape("torus")
     assert scene.names == tuple(f"view_{index:03d}.png" for index in range(10))
-    assert scene.images.shape == (10, 24, 24, 3) and scene.images.dtype == np.float32
-    assert scene.images.min() >= 0 and scene.images.max() == 1
+    assert scene.images.shape == (10, 3, 24, 24) and scene.images.dtype == np.uint8
+    assert scene.images.min() < 255 and scene.images.max() == 255
     assert scene.holdout.tolist() == [0, 8] and scene.train.tolist() == [1, 2, 3, 4, 5, 6, 7, 9]
     assert scene.points.dtype == scene.world_to_clip.dtype == scene.camera_centres.dtype == np.float32
     assert scene.background.tolist() == [1, 1, 1] and scene.radius == pytest.approx(mesh.radius)
     np.testing.assert_allclose(np.linalg.norm(scene.camera_centres, axis=1), 3 * mesh.radius, rtol=1e-5)
     ring = np.hypot(np.hypot(scene.points[:, 0], scene.points[:, 1]) - 1, scene.points[:, 2])
     np.testing.assert_allclose(ring, 0.38, atol=2e-3)
-    # The projected cloud lies where a view shows the surface (a point on the outline may miss all of a pixel's four
+    # The projected cloud lies where a view shows the surface (a point on the outline may miss a pixel's four
     # samples), and the surface where the cloud is.
     for view in range(10):
         clip = np.column_stack([scene.points, np.ones(400)]) @ scene.world_to_clip[view].T
         assert (clip[:, 3] > 0).all()
         pixel = np.floor((clip[:, :2] / clip[:, 3:] + 1) * 12).astype(int)
-        assert (scene.images[view][pixel[:, 1], pixel[:, 0]].min(axis=1) < 1).mean() > 0.95
-        rows, columns = np.nonzero(scene.images[view].max(axis=2) < 0.99)
+        assert (scene.colours(view)[pixel[:, 1], pixel[:, 0]].min(axis=1) < 1).mean() > 0.95
+        rows, columns = np.nonzero(scene.colours(view).max(axis=2) < 0.99)
         assert cKDTree(pixel).query(np.column_stack([columns, rows]))[0].max() < 3
 
 
@@ -146,7 +147,7 @@ def test_a_foreign_scene_in_text_with_transparent_images(damaged):
         pixels = np.asarray(Image.open(file))
         Image.fromarray(np.dstack([pixels, np.zeros(pixels.shape[:2], np.uint8)])).save(file)
     scene = load_scene(damaged)
-    assert scene.background.tolist() == [1, 1, 1] and (scene.images == 1).all()
+    assert scene.background.tolist() == [1, 1, 1] and (scene.images == 255).all()
     assert scene.radius == pytest.approx(make_shape("torus").diagonal / 2, rel=0.05)
     with pytest.raises(InputError, match="has no ground_truth.npz"):
         load_ground_truth(damaged)
@@ -157,7 +158,7 @@ def test_images_smaller_than_the_camera_are_welcome_in_the_same_aspect(damaged):
     for file in (damaged / "images").iterdir():
         Image.open(file).resize((12, 12)).save(file)
     half = load_scene(damaged)
-    assert half.images.shape == (10, 12, 12, 3)
+    assert half.images.shape == (10, 3, 12, 12)
     np.testing.assert_array_equal(half.world_to_clip, before.world_to_clip)
 
 
@@ -215,6 +216,7 @@ def test_a_damaged_ground_truth_and_a_missing_folder_are_refused(damaged, tmp_pa
 
 def arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
+    parser.add_argument("--quiet", action="store_true")
     verb.add_arguments(parser)
     return parser.parse_args([*words, "--views", "3", "--size", "16", "--points", "50", "--supersample", "1"])
 
@@ -242,6 +244,25 @@ def test_the_verb_refuses_bad_usage_and_bad_input(tmp_path, capsys):
     with pytest.raises(InputError, match="unknown shape"):
         verb.run(arguments("--shape", "klein_bottle", "--out", str(tmp_path / "x")))
     assert os.listdir(tmp_path) == []
+
+
+def test_npz_files_are_read_whole_or_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, one=np.arange(3), two=np.eye(2))
+    stored = load_npz(path)
+    assert set(stored) == {"one", "two"} and stored["one"].tolist() == [0, 1, 2]
+    whole = path.read_bytes()
+    np.savez(tmp_path / "pickle.npz", one=np.array([{}], dtype=object))
+    flipped = bytearray(whole)
+    flipped[whole.index(b"NUMPY") + 8] ^= 255
+    for damaged in (whole[:100], whole[:-30], b"", b"no archive", bytes(flipped)):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError):
+            load_npz(path)
+    with pytest.raises(ValueError, match="allow_pickle"):
+        load_npz(tmp_path / "pickle.npz")
+    with pytest.raises(OSError):
+        load_npz(tmp_path / "none.npz")
 
 
 def test_the_mesh_hash_sees_geometry_and_not_the_name():

@@ -1,4 +1,5 @@
-"""The set-up: one place with versions, and a bootstrap that is fast the second time and gives hints, not traces."""
+"""The set-up: one place with versions, and a bootstrap that is fast the second time and gives hints, not
+traces."""
 
 from __future__ import annotations
 
@@ -15,14 +16,16 @@ import yaml
 import paper_artifact
 from paper_artifact.files import REPOSITORY
 
-# Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes how it was called.
+# Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes how it was
+# called.
 STUB = r"""#!/bin/bash
 echo "$*" >> "$STUB_LOG"
 case "$*" in
     "-c "*) exit "${STUB_OTHER_VERSION:-0}" ;;
     "-m venv "*) [ -z "$STUB_NO_VENV" ] || { echo "Traceback: ensurepip is not available"; exit 1; }
                  mkdir -p "$3/bin" && cp "$STUB_SOURCE" "$3/bin/python" ;;
-    "-m pip install -r "*) [ -z "$STUB_NO_NETWORK" ] || { echo "Traceback"; echo "ERROR: No matching distribution"; exit 1; } ;;
+    "-m pip install -r "*) [ -z "$STUB_NO_NETWORK" ] || { echo Traceback
+                           echo "ERROR: No matching distribution"; exit 1; } ;;
     "-m ruff"*|"-m mypy"*) exit "${STUB_LINT:-0}" ;;
     "-m pytest"*) exit "${STUB_PYTEST:-0}" ;;
 esac
@@ -67,7 +70,7 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
 
 
 class Setup:
-    """test.sh in a copy of the repository's top, with a PATH that holds the stubs and the basic tools alone."""
+    """test.sh in a copy of the repository's top, with a PATH of stubs and basic tools alone."""
 
     def __init__(self, folder: Path):
         self.root, self.bin, self.log = folder / "a checkout", folder / "bin", folder / "calls.log"
@@ -189,8 +192,9 @@ def test_uv_brings_python_where_the_host_has_none(setup):
     setup.add("python3", "#!/bin/bash\nexit 1\n")  # a Python of another version
     result = setup.run("-k", "x")
     assert result.returncode == 0, result.stderr
-    assert ["uv python install --quiet 3.11", "uv python find --managed-python 3.11"] == [
-        call for call in setup.calls() if call.startswith("uv")
+    assert [call for call in setup.calls() if call.startswith("uv")] == [
+        "uv python install --quiet 3.11",
+        "uv python find --managed-python 3.11",
     ]
     assert (setup.root / ".venv" / "bin" / "python").exists()
     shutil.rmtree(setup.root / ".venv")

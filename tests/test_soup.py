@@ -79,7 +79,7 @@ def test_more_triangles_than_points_takes_every_point_once():
 def test_the_start_depends_on_the_seed_alone():
     points = cloud(4, 100)
     first, second, other = (initial_soup(points, 30, seed) for seed in (1, 1, 2))
-    assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(second)))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(second), strict=True))
     assert not torch.equal(first.vertices, other.vertices) and not torch.equal(first.mlp[0], other.mlp[0])
 
 
@@ -87,8 +87,9 @@ def test_mlp_starts_kaiming_xavier_and_zero():
     weights = initial_mlp(0)
     assert tuple(tuple(tensor.shape) for tensor in weights) == MLP_SHAPES
     assert not any(tensor.any() for tensor in weights[1::2])
-    # Kaiming-uniform sqrt(6/16) for the hidden layers, Xavier-uniform sqrt(6/(16+3)) for the last; 256 draws come near the bound.
-    for tensor, bound in zip(weights[::2], (np.sqrt(6 / 16), np.sqrt(6 / 16), np.sqrt(6 / 19))):
+    # Kaiming-uniform sqrt(6/16) for the hidden layers, Xavier-uniform sqrt(6/(16+3)) for the last; 256 draws
+    # come near the bound.
+    for tensor, bound in zip(weights[::2], (np.sqrt(6 / 16), np.sqrt(6 / 16), np.sqrt(6 / 19)), strict=True):
         assert 0.9 * bound < tensor.abs().max() <= bound
 
 
@@ -123,7 +124,9 @@ def test_save_and_load_give_the_same_bits(stored):
     soup, path = stored
     again = load_soup(path)
     assert len(again) == 40
-    assert all(torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(tensors(soup), tensors(again)))
+    assert all(
+        torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(tensors(soup), tensors(again), strict=True)
+    )
     assert [file.name for file in path.parent.iterdir()] == ["soup.npz"]
 
 

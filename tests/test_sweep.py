@@ -26,7 +26,7 @@ from paper_artifact.study.studies import STUDIES, study_configs
 from paper_artifact.study.sweep import Estimate, Outcome, missing, sweep
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
 
-# --- the tables ----------------------------------------------------------------------------------------------------------------
+# --- the tables
 
 
 def table(configs) -> Counter:
@@ -110,7 +110,7 @@ def test_the_analytic_studies_need_no_download():
         assert {config.shape for config in study_configs(name)} <= set(SHAPES)
 
 
-# --- the estimate --------------------------------------------------------------------------------------------------------------
+# --- the estimate
 
 
 def test_estimate_from_fake_durations():
@@ -132,7 +132,7 @@ def test_estimate_from_fake_durations():
     assert estimate.seconds() == 0 and estimate.text() == "about 0 min left"
 
 
-# --- runs in processes ---------------------------------------------------------------------------------------------------------
+# --- runs in processes
 
 
 @pytest.fixture(scope="module")
@@ -303,7 +303,7 @@ def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, cap
     assert words in error and len(error.splitlines()) == 1
 
 
-# --- runs on a Dask cluster ----------------------------------------------------------------------------------------------------
+# --- runs on a Dask cluster
 
 
 def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, monkeypatch):
@@ -334,7 +334,7 @@ def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, mo
     assert "vanishing.obj" in failed.failure and reports[-1][1:] == (3, 3)
     assert all(outcome.seconds > 0 for outcome in outcomes if outcome is not failed)
     records, expected = find_records(tmp_path / "results" / "runs"), find_records(swept[0] / "runs")
-    assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected))
+    assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected, strict=True))
     assert missing(list(CONFIGS), tmp_path / "results") == []
 
 

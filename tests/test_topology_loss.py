@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from paper_artifact.alpha.circumradius import circumradius
 from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
-from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.alpha.persistence import Pairs, alpha_persistence
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import (
@@ -19,10 +20,11 @@ from paper_artifact.topology.bundle import (
     bundle_from_json,
     load_bundle,
 )
-from paper_artifact.topology.curvature import pair_weights
+from paper_artifact.topology.curvature import CLIP, pair_weights, surface_variation
 from paper_artifact.topology.floor import measurement_floor, median_spacing, significant, uniform_spacing
 from paper_artifact.topology.loss import TopologyLoss
-from paper_artifact.topology.plan import Plan, Term, build_plan
+from paper_artifact.topology.plan import Plan, build_plan
+from paper_artifact.topology.pulls import DIAGONAL, MATCHED, RECRUITED, Pulls, join_pulls, padded
 
 
 def sphere(seed: int, count: int = 400) -> np.ndarray:
@@ -46,6 +48,20 @@ def handmade_bundle(
         diagonal=diagonal,
         shape="handmade",
         source="sha256:",
+    )
+
+
+def pull(dimension: int, kind: int, values, birth_simplex, death_simplex, target, sound=True, weight=1.0):
+    """One bar and its pull."""
+    simplices = [padded(np.array([each])) for each in (birth_simplex, death_simplex)]
+    return Pulls(
+        dimension=np.array([dimension]),
+        kind=np.array([kind]),
+        values=np.array([values], dtype=np.float64),
+        simplices=np.stack(simplices, axis=1),
+        target=np.array([target or (0.0, 0.0)]),
+        sound=np.array([sound]),
+        weight=np.array([weight]),
     )
 
 
@@ -104,21 +120,21 @@ def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
             )
 
 
-def test_plan_value_gradcheck_with_every_kind_of_term():
+def every_kind_of_pull() -> list[Pulls]:
+    return [
+        pull(0, DIAGONAL, (0.0, 0.3), (0,), (0, 1), None),
+        pull(1, MATCHED, (0.1, 0.4), (1, 2), (3, 4, 5), (0.1, 0.5)),
+        pull(2, RECRUITED, (0.2, 0.3), (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), weight=2.0),
+        pull(1, MATCHED, (0.1, 0.4), (1, 2), (3, 4, 5), (0.3, 0.9), sound=False),
+    ]
+
+
+def test_plan_value_gradcheck_with_every_kind_of_pull():
     positions = torch.tensor(np.random.default_rng(0).random((9, 3)), requires_grad=True)
-    plan = Plan(
-        (
-            Term(0, "diagonal", 0.0, 0.3, (0,), (0, 1), None, True),
-            Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.1, 0.5), True),
-            Term(2, "recruited", 0.2, 0.3, (4, 5, 6), (5, 6, 7, 8), (0.2, 0.6), True, 2.0),
-            Term(1, "matched", 0.1, 0.4, (1, 2), (3, 4, 5), (0.3, 0.9), False),
-        ),
-        9,
-        {},
-    )
+    plan = Plan(join_pulls(every_kind_of_pull()), 9, {})
     assert torch.autograd.gradcheck(plan.value, (positions,), eps=1e-7, atol=1e-6)
-    unsound = (0.1 - 0.3) ** 2 + (0.4 - 0.9) ** 2  # the last term keeps its refresh value
-    rest = Plan(plan.terms[:3], 9, {}).value(positions).item()
+    unsound = (0.1 - 0.3) ** 2 + (0.4 - 0.9) ** 2  # the last pull keeps its refresh value
+    rest = Plan(join_pulls(every_kind_of_pull()[:3]), 9, {}).value(positions).item()
     assert plan.value(positions).item() == pytest.approx(rest + unsound, rel=1e-12)
 
 
@@ -196,7 +212,7 @@ def test_noise_reaches_the_plan_but_not_the_values(void):
     (births, deaths) = plan.coordinates(live[plan.used.numpy()] / bundle.diagonal)
     expected = ((births - bundle.bars[2][0, 0]) ** 2 + (deaths - bundle.bars[2][0, 1]) ** 2).sum()
     assert value == pytest.approx(expected, rel=1e-12)
-    assert abs(deaths[0] - plan.terms[0].death) > 1e-6  # the plan's own value is the noisy one
+    assert abs(deaths[0] - plan.pulls.values[0, 1]) > 1e-6  # the plan's own value is the noisy one
     assert TopologyLoss(bundle, noise=0.01, seed=3).refresh(live).report == plan.report
     assert TopologyLoss(bundle, noise=0.01, seed=4).refresh(live).report != plan.report
 
@@ -217,14 +233,6 @@ def test_live_floor_is_an_option(void):
     assert report["floor"] == report["live_floor"] == measurement_floor(live, bundle.diagonal)
 
 
-class _FakePairs:
-    """A loop whose birth value is not the birth edge's own radius, as a non-Gabriel edge has it."""
-
-    def __init__(self, cloud, birth_edge, birth, triangle, death):
-        self.births, self.deaths = np.array([birth]), np.array([death])
-        self.birth_simplices, self.death_simplices = np.array([birth_edge]), np.array([triangle])
-
-
 @pytest.fixture
 def non_gabriel(monkeypatch):
     """Edge 0-1 has point 2 inside its smallest sphere: it enters with 0-1-2; a far one kills the loop."""
@@ -232,7 +240,7 @@ def non_gabriel(monkeypatch):
     birth = 1.25  # circumradius of 0-1-2: sides 2, sqrt(1.25), sqrt(1.25), area .5
     edges = cloud[4:] - cloud[3]
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
-    pairs = _FakePairs(cloud, [0, 1], birth, [3, 4, 5], death)
+    pairs = Pairs(np.array([birth]), np.array([death]), np.array([[0, 1]]), np.array([[3, 4, 5]]))
     monkeypatch.setattr(
         "paper_artifact.topology.plan.alpha_persistence", lambda points, method="fast": (None, pairs, None)
     )
@@ -354,6 +362,59 @@ def test_curvature_weights_grow_where_the_surface_bends():
     cube[np.arange(3000), axis] = 0.0  # three faces of a cube meeting at the origin
     edge = int(np.argmin(np.abs(cube[:, 0]) + np.abs(cube[:, 1]) + np.abs(cube[:, 2] - 0.5)))
     flat = int(np.argmin(np.linalg.norm(cube - [0, 0.5, 0.5], axis=1)))
-    weights = pair_weights(cube, [(edge,), (flat,)])
+    weights = pair_weights(cube, np.array([[edge, -1], [flat, -1]]))
     assert weights[0] > 2 and weights[1] == 0.25
-    np.testing.assert_array_equal(pair_weights(cube * [1, 1, 0], [(0, 1), (2,)]), [1, 1])
+    assert pair_weights(cube, np.array([[edge, flat]])) == pytest.approx(
+        np.clip(surface_variation(cube, np.array([edge, flat])).mean() / mean_variation(cube), *CLIP)
+    )
+    np.testing.assert_array_equal(pair_weights(cube * [1, 1, 0], np.array([[0, 1], [2, -1]])), [1, 1])
+
+
+def mean_variation(cloud: np.ndarray) -> float:
+    return float(surface_variation(cloud, np.arange(len(cloud))).mean())
+
+
+@pytest.mark.parametrize("settings", [{}, {"curvature_weighted": True}])
+def test_a_plan_of_many_pulls_is_the_sum_over_its_bars(settings):
+    """Value and gradient against one bar after the other, by torch's own autograd; nothing is lost or
+    doubled."""
+    target, live = np.random.default_rng(0).random((2, 700, 3))
+    bundle = build_bundle(target, 3**0.5, k=0.05)
+    loss = TopologyLoss(bundle, **settings)
+    points = torch.tensor(live, requires_grad=True)
+    value = loss(points)
+    value.backward()
+    pulls = loss.plan.pulls
+    assert len(pulls) > 1400 and set(pulls.dimension) == {0, 1, 2} and {MATCHED, DIAGONAL} <= set(pulls.kind)
+    again = torch.tensor(live, requires_grad=True)
+    cloud, terms = again / bundle.diagonal, []
+    for i in range(len(pulls)):
+        corners = [torch.tensor(each[each >= 0]) for each in pulls.simplices[i]]
+        birth, death = (circumradius(cloud[each][None])[0] for each in corners)
+        aim = pulls.target[i]
+        term = ((death - birth) / 2) ** 2
+        if pulls.kind[i] != DIAGONAL:
+            term = (birth - aim[0]) ** 2 + (death - aim[1]) ** 2
+        terms.append(term * pulls.weight[i])
+        assert pulls.sound[i]
+        assert [birth.item(), death.item()] == pytest.approx(pulls.values[i], rel=1e-6, abs=1e-12)
+    torch.stack(terms).sum().backward()
+    assert value.item() == pytest.approx(torch.stack(terms).sum().item(), rel=1e-12)
+    torch.testing.assert_close(points.grad, again.grad, rtol=1e-9, atol=1e-14)
+
+
+def test_gradients_are_summed_in_the_order_of_the_pulls():
+    """The same bits as numpy's unbuffered addition, pull after pull: recorded runs rest on it."""
+    generator = np.random.default_rng(3)
+    target, live = generator.random((2, 500, 3))
+    plan = build_plan(live, build_bundle(target, 1.0, k=0.05))
+    positions = live[plan.used.numpy()] + 1e-3 * generator.random((len(plan.used), 3))
+    arrays = plan._arrays
+    radii, gradients = arrays.radii(positions)
+    births, deaths = radii.reshape(2, -1)
+    away = (deaths - births) / 2 * np.array([[-1.0], [1.0]])
+    slope = np.where(arrays.diagonal, away, 2 * (radii.reshape(2, -1) - arrays.target)).ravel()
+    expected = np.zeros_like(positions)
+    for (rows, corners), gradient in zip(arrays.groups, gradients, strict=True):
+        np.add.at(expected, corners, slope[rows, None, None] * gradient)
+    np.testing.assert_array_equal(arrays.value_and_gradient(positions)[1], expected)

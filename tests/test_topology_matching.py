@@ -7,6 +7,7 @@ import itertools
 import gudhi.hera
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from paper_artifact.topology.matching import PAPER_DIAGONAL, match_bars, pair_costs, recruit
 
@@ -33,11 +34,14 @@ def brute_force(live, target, factor):
     return best
 
 
+@pytest.mark.parametrize("components", [False, True])
 @pytest.mark.parametrize("live_count, target_count", [(0, 0), (0, 2), (3, 0), (1, 1), (3, 4), (5, 3)])
-def test_cost_equals_brute_force_on_the_papers_equation(live_count, target_count):
+def test_cost_equals_brute_force_on_the_papers_equation(live_count, target_count, components):
     for seed in range(4):
         generator = np.random.default_rng(seed)
         live, target = random_bars(generator, live_count), random_bars(generator, target_count)
+        if components:  # births of 0, as in dimension 0
+            live, target = live - live[:, :1], target - target[:, :1]
         found = match_bars(live, target)
         assert found.cost == pytest.approx(brute_force(live, target, PAPER_DIAGONAL), rel=1e-10, abs=1e-15)
         recomputed = pair_costs(live, target)[found.matched[:, 0], found.matched[:, 1]].sum()
@@ -69,9 +73,30 @@ def test_recruitment_is_greedy_by_decreasing_persistence_without_replacement():
     missing = np.array(
         [[0.0, 0.25], [0.0, 0.50]]
     )  # the second, more persistent, chooses first and takes the bar at .30
-    assert recruit(pool, missing) == [(0, 1), (1, 0)]
+    assert recruit(pool, missing).tolist() == [[0, 1], [1, 0]]
     # Greedy, not optimal: .50 takes .48 and leaves .60 for .45 (.0229 in all); the other way costs .0109.
     pool, missing = np.array([[0.0, 0.60], [0.0, 0.48]]), np.array([[0.0, 0.45], [0.0, 0.50]])
-    assert recruit(pool, missing) == [(1, 1), (0, 0)]
-    assert recruit(pool[:1], missing) == [(0, 1)]
-    assert recruit(np.zeros((0, 2)), missing) == []
+    assert recruit(pool, missing).tolist() == [[1, 1], [0, 0]]
+    assert recruit(pool[:1], missing).tolist() == [[0, 1]]
+    assert recruit(np.zeros((0, 2)), missing).tolist() == []
+    assert pool.tolist() == [[0.0, 0.60], [0.0, 0.48]]  # not changed
+
+
+@pytest.mark.parametrize("components", [False, True])
+def test_a_large_matching_costs_what_the_augmented_problem_does(components):
+    """Hundreds of bars, against the (n+m) × (m+n) assignment that has every bar's copy on the diagonal."""
+    generator = np.random.default_rng(0)
+    live, target = random_bars(generator, 220), random_bars(generator, 220)
+    if components:  # births of 0, as in dimension 0
+        live, target = live - live[:, :1], 1.5 * (target - target[:, :1])
+    n, m = len(live), len(target)
+    alone = [PAPER_DIAGONAL * (bars[:, 1] - bars[:, 0]) ** 2 for bars in (live, target)]
+    cost = np.full((n + m, m + n), 1e3)
+    cost[:n, :m], cost[n:, m:] = pair_costs(live, target), 0.0
+    cost[np.arange(n), m + np.arange(n)] = alone[0]
+    cost[n + np.arange(m), np.arange(m)] = alone[1]
+    rows, columns = linear_sum_assignment(cost)
+    found = match_bars(live, target)
+    assert found.cost == pytest.approx(cost[rows, columns].sum(), rel=1e-12)
+    pairs = {(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if i < n and j < m}
+    assert {tuple(pair) for pair in found.matched.tolist()} == pairs and 100 < len(pairs) < 220

@@ -13,7 +13,8 @@ from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle, build_bundle
 from paper_artifact.topology.controls import neighbour_pairs, repulsion
-from paper_artifact.topology.plan import Plan, Term
+from paper_artifact.topology.plan import Plan
+from paper_artifact.topology.pulls import join_pulls
 from paper_artifact.topology.samples import draw_samples, samples_stream
 from paper_artifact.topology.schedule import peak_weight, ramp_factor
 from paper_artifact.topology.term import TopologyTerm, _denser
@@ -176,7 +177,7 @@ def test_zero_gradient_calibration_is_a_stated_no_op_and_tries_again(bundle):
     term.refresh_if_due(31, soup, None)
     assert term.value(31, soup, 0.0) is None and term.lambda_peak is None
     assert term.log[-1]["event"] == "no-op" and "photometric" in term.log[-1]["reason"]
-    term._objective.plan = Plan((), M, {})  # no bar at all
+    term._objective.plan = Plan(join_pulls([]), M, {})  # no bar at all
     assert term.value(32, soup, 1.0) is None and "topology" in term.log[-1]["reason"]
     term.refresh_if_due(33, soup, None, resampled=True)
     assert term.value(33, soup, 1.0) is not None and term.lambda_peak > 0
@@ -233,7 +234,7 @@ def test_curvature_weighted_condition_weights_the_terms(bundle):
     for name in ("C1", "C4"):
         term = term_of(name, bundle)
         term.refresh_if_due(31, live_soup(), None)
-        weights[name] = [each.weight for each in term._objective.plan.terms]
+        weights[name] = term._objective.plan.pulls.weight.tolist()
     assert weights["C1"] == [1.0] and weights["C4"] != [1.0] and 0.25 <= weights["C4"][0] <= 4
 
 
@@ -266,7 +267,7 @@ def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch
     def failing_once(cloud, *arguments):
         plan = real(cloud, *arguments)
         made.append(len(cloud))
-        return Plan(plan.terms, plan.samples, plan.report, ((0, 1),)) if len(made) == 1 else plan
+        return Plan(plan.pulls, plan.samples, plan.report, ((0, 1),)) if len(made) == 1 else plan
 
     real = module.build_plan
     monkeypatch.setattr(module, "build_plan", failing_once)
@@ -278,5 +279,5 @@ def test_denser_fallback_samples_the_failing_triangles_again(bundle, monkeypatch
     assert made == [M, M + 8 * len(triangles)] == [M, len(samples)] and term.log[0]["denser_rounds"] == 1
     assert set(samples.faces[M:].tolist()) == triangles
     assert term.value(31, soup, 1.0) is not None
-    plan = Plan((Term(0, "diagonal", 0.0, 1.0, (0,), (0, 1), None, True),), M, {}, ((5, 6),))
+    plan = Plan(join_pulls([]), M, {}, ((5, 6),))
     assert len(_denser(plan, samples, soup, samples_stream(0, 0))) in (8, 16)

@@ -1,6 +1,8 @@
-"""The training loop on a tiny scene: it learns, its bits depend on the configuration alone, it resumes, its term, its errors.
+"""The training loop on a tiny scene: it learns, its bits depend on the configuration alone, it resumes, its
+term, its errors.
 
-CUDA cannot be tested on a machine without one: what runs there is the twin, held to the CPU kernels below in float64 on the CPU.
+CUDA cannot be tested on a machine without one: what runs there is the twin, held to the CPU kernels below in
+float64 on the CPU.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -47,7 +50,7 @@ def same_bits(first: TrainState, second: TrainState) -> bool:
         first.losses == second.losses
         and first.dumps == second.dumps
         and first.resamplings == second.resamplings
-        and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup)))
+        and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup), strict=True))
     )
 
 
@@ -69,7 +72,7 @@ def test_it_learns(trained, tiny_scene):
 
     def holdout_psnr(soup):
         return image_scores(
-            render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.images[tiny_scene.holdout]
+            render_views(soup, tiny_scene, tiny_scene.holdout), tiny_scene.colours(tiny_scene.holdout)
         )["psnr"]
 
     assert holdout_psnr(trained.soup) > holdout_psnr(initial_soup(tiny_scene.points, 600, 0)) + 1.5
@@ -80,7 +83,7 @@ def test_history_of_a_run(trained):
     assert [entry["step"] for entry in trained.resamplings] == RESAMPLED
     first = trained.resamplings[0]
     assert (first["before"], first["pruned"]) == (600, 200)
-    for one, following in zip(trained.resamplings, trained.resamplings[1:]):
+    for one, following in pairwise(trained.resamplings):
         assert one["after"] >= one["pruned"] == 200 and following["before"] == one["after"]
     assert len(trained.soup) == trained.resamplings[-1]["after"] == trained.dumps[-1]["triangles"]
     assert (
@@ -90,7 +93,8 @@ def test_history_of_a_run(trained):
 
 
 def test_torch_itself_trains_on_one_thread(tiny_scene):
-    # With two, torch cuts large tensors elsewhere and a 5,250-triangle torus run differs from step 20 or so on.
+    # With two, torch cuts large tensors elsewhere and a 5,250-triangle torus run differs from step 20 or so
+    # on.
     inside, before = [], torch.get_num_threads()
     try:
         torch.set_num_threads(2)
@@ -155,7 +159,7 @@ def test_batches_are_permutations_redrawn_each_epoch(count, batch):
     )
 
 
-# --- the additive term ---------------------------------------------------------------------------------------------------------
+# --- the additive term
 
 
 class FakeTerm:
@@ -253,7 +257,7 @@ print(*sorted(name for name in sys.modules if name.startswith(("paper_artifact.t
     assert (result.returncode, result.stdout.strip()) == (0, ""), result.stderr
 
 
-# --- resuming ------------------------------------------------------------------------------------------------------------------
+# --- resuming
 
 # Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
 KILLED = """
@@ -339,7 +343,9 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(
         ]
     (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
     assert first.name == second.name
-    assert all(torch.equal(a, b) for a, b in zip(parts(load_soup(first)), parts(load_soup(second))))
+    assert all(
+        torch.equal(a, b) for a, b in zip(parts(load_soup(first)), parts(load_soup(second)), strict=True)
+    )
 
 
 def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
@@ -371,7 +377,7 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
             train(tiny_scene, config, checkpoint=path, device="cpu")
 
 
-# --- what goes wrong -----------------------------------------------------------------------------------------------------------
+# --- what goes wrong
 
 
 class BadTerm(FakeTerm):
@@ -425,7 +431,7 @@ def test_devices(tiny_scene, monkeypatch):
         train(tiny_scene, tiny_config(), device="tpu")
 
 
-# --- the twin ------------------------------------------------------------------------------------------------------------------
+# --- the twin
 
 
 def test_the_twin_backend_gives_the_cpu_backends_step(trained, tiny_scene):
@@ -444,7 +450,7 @@ def test_the_twin_backend_gives_the_cpu_backends_step(trained, tiny_scene):
         assert all(tensor.dtype == torch.float32 for tensor in parts(backend.to_host(soup)))
     (loss, gradients), (twin_loss, twin_gradients) = results
     assert abs(loss - twin_loss) < 1e-4
-    for mine, theirs in zip(gradients, twin_gradients):
+    for mine, theirs in zip(gradients, twin_gradients, strict=True):
         assert theirs.norm() > 0
         assert torch.nn.functional.cosine_similarity(mine, theirs, dim=0) > 0.999
         assert float(mine.norm() / theirs.norm()) == pytest.approx(1, abs=0.01)

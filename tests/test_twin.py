@@ -29,7 +29,9 @@ def test_numba_and_torch_draw_the_same_bits_and_they_are_uniform():
     pixel, triangle = rng.integers(0, 65536, 4000), rng.integers(0, 6000, 4000)
     key = draws.view_key(7, 2500, 71)
     ours = draws.draw_torch(key, torch.from_numpy(pixel), torch.from_numpy(triangle)).numpy()
-    kernel = [draws.draw(np.uint32(key), np.uint32(p), np.uint32(t)) for p, t in zip(pixel, triangle)]
+    kernel = [
+        draws.draw(np.uint32(key), np.uint32(p), np.uint32(t)) for p, t in zip(pixel, triangle, strict=True)
+    ]
     assert np.array_equal(ours, np.array(kernel, dtype=np.float64))
     neighbours = draws.draw_torch(key, torch.arange(20000), torch.full((20000,), 12)).numpy()
     for sample in (ours, neighbours):
@@ -85,7 +87,8 @@ def test_nearest_surviving_fragment_wins_and_every_rejected_triangle_is_absent()
                 raster.fragment_b1,
                 raster.fragment_alpha,
             )
-        )
+        ),
+        strict=True,
     ):
         corner = case["opacity"][triangle]
         assert alpha == pytest.approx(
@@ -178,7 +181,7 @@ def test_photometric_loss_agrees_with_a_plain_double_loop():
     gauss = np.exp(-((np.arange(11) - 5.0) ** 2) / 4.5)
     window = np.outer(gauss, gauss) / gauss.sum() ** 2
     values = []
-    for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13)):
+    for image, truth in zip(colour.reshape(-1, 14, 13), target.reshape(-1, 14, 13), strict=True):
         for row in range(4):
             for column in range(3):
                 a, b = (

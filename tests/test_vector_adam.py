@@ -1,4 +1,4 @@
-"""VectorAdam against plain numpy, its rotation equivariance (which Adam lacks), and the learning rate's part."""
+"""VectorAdam against plain numpy, its rotation equivariance (Adam has none), and the learning rate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from paper_artifact.soup.vector_adam import VectorAdam
 
 
 def descend(kind, start: np.ndarray, gradients: np.ndarray, lr: float = 0.03) -> np.ndarray:
-    """Return the positions (steps,N,3,3) of an optimizer that is fed these gradients (steps,N,3,3), float64."""
+    """Return an optimizer's positions (steps,N,3,3) under these gradients (steps,N,3,3), float64."""
     parameter = torch.tensor(start, requires_grad=True)
     optimizer = kind([parameter], lr=lr)
     positions = []

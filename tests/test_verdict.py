@@ -14,7 +14,7 @@ from paper_artifact.report.kit.text import arm_text
 from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
 from tests.report_records import study_record
 
-# Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied by the control).
+# Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied).
 PER_SEED = {
     "spot": ("pass", (0.0429, 0.0584, 0.0550), (0.0237,) * 3, (0.0652,) * 3),
     "bob": ("pass", (0.0429, 0.0413, 0.0437), (0.0200, 0.0207, 0.0216), (0.0437,) * 3),
@@ -182,7 +182,8 @@ def test_transcribed_tables_give_the_same_verdicts():
 
 
 def test_every_arm_of_a_shape_is_counted_against_the_same_number():
-    """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has no bundle."""
+    """Betti where known, the bundle where it has more (or where Betti is unknown), also for C0, which has
+    no bundle."""
     bob = [
         study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")
     ]  # no Betti numbers; two bars in its bundle

@@ -1,8 +1,9 @@
-"""The package installed alone, as `pip install .` does it: a wheel in a folder of its own, used from an empty folder.
+"""The package installed alone, as `pip install .` does it: a wheel in a folder of its own, used from an empty
+folder.
 
-Whatever an extra of pyproject.toml brings is refused there, in child processes too, so that the split of the dependencies is
-real. Kernels that the checkout has compiled already are borrowed: numba takes a cached kernel for a source file of the same time
-and size.
+Whatever an extra of pyproject.toml brings is refused there, in child processes too, so that the split of the
+dependencies is real. Kernels that the checkout has compiled already are borrowed: numba takes a cached kernel
+for a source file of the same time and size.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ IMPORTED_AS = {"scikit-image": "skimage", "pyyaml": "yaml"}
 EXTRAS = sorted(
     IMPORTED_AS.get(name, name) for names in PROJECT["optional-dependencies"].values() for name in names
 )
-# Python imports the sitecustomize.py of its path before anything else. A refused package is as good as not installed.
+# Python imports the sitecustomize.py of its path before anything else. A refused package is as good as not
+# installed.
 REFUSING = f"""
 from importlib.machinery import PathFinder
 find = PathFinder.find_spec

@@ -1,4 +1,5 @@
-"""The smallest run that still learns something: a sphere in 8 views of 64 px, 200 triangles, 60 steps (about a second)."""
+"""The smallest run that still learns something: a sphere in 8 views of 64 px, 200 triangles, 60 steps (about
+a second)."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ TINY = {
 
 
 def tiny_config(**changes: Any) -> RunConfig:
-    """Return the tiny run's configuration with `changes`; dump steps beyond a smaller number of steps fall away."""
+    """Return the tiny run's configuration with `changes`; dump steps beyond a smaller number of steps fall
+    away."""
     values = TINY | changes
     if "dump_steps" not in changes:
         values["dump_steps"] = tuple(step for step in TINY["dump_steps"] if step <= values["steps"])

@@ -15,6 +15,8 @@ gradient 0, so the Gabriel gate refuses it and no NaN reaches the vertices.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -50,7 +52,7 @@ def radius_and_gradient(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 class _Circumradius(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, corners: Tensor) -> Tensor:
+    def forward(ctx: Any, corners: Tensor) -> Tensor:
         # numpy: for the handful of simplices of a plan its calls cost a fraction of torch's.
         radius, gradient = radius_and_gradient(corners.detach().cpu().double().numpy())
         ctx.save_for_backward(torch.from_numpy(gradient).to(corners))
@@ -58,7 +60,7 @@ class _Circumradius(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, upstream: Tensor) -> Tensor:
+    def backward(ctx: Any, upstream: Tensor) -> Tensor:
         (gradient,) = ctx.saved_tensors
         # A flat simplex has gradient 0; an infinite upstream value must not turn that into NaN.
         return torch.where(gradient == 0, gradient, upstream[:, None, None] * gradient)

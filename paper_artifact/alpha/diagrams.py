@@ -46,7 +46,8 @@ def alpha_diagrams(points: Tensor) -> tuple[DiagramTensor, DiagramTensor, Diagra
         deaths, died = _radii(cloud, pairs.death_simplices, pairs.deaths)
         bars, gabriel = torch.stack([births, deaths], dim=1), torch.stack([born, died], dim=1)
         made.append(DiagramTensor(bars.to(points), gabriel.to(points.device)))
-    return tuple(made)
+    components, loops, voids = made
+    return components, loops, voids
 
 
 def _radii(cloud: Tensor, simplices: np.ndarray, values: np.ndarray) -> tuple[Tensor, Tensor]:

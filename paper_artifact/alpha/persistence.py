@@ -92,9 +92,9 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
     pairs = squared_pairs(points, marks)
     if pairs is None:
         return gudhi_persistence(points, clock)
-    result = tuple(make_pairs(*rows) for rows in pairs)
+    components, loops, voids = (make_pairs(*rows) for rows in pairs)
     _read_clock(clock, marks)
-    return result
+    return components, loops, voids
 
 
 def gudhi_persistence(
@@ -120,9 +120,9 @@ def gudhi_persistence(
         for birth, death in tree.persistence_pairs():
             if death and len(birth) <= 3:
                 rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
-    result = tuple(_from_rows(rows[dimension], dimension) for dimension in range(3))
+    components, loops, voids = (_from_rows(rows[dimension], dimension) for dimension in range(3))
     _read_clock(clock, marks)
-    return result
+    return components, loops, voids
 
 
 def _read_clock(clock: dict[str, float] | None, marks: list[float]) -> None:

@@ -1,1 +1,1 @@
-"""Speed and memory, printed by `python -m paper_artifact bench`; every ratio comes from one process, absolute values beside."""
+"""Speed and memory, printed by `python -m paper_artifact bench`; every ratio comes from one process."""

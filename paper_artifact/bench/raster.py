@@ -14,7 +14,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
-from paper_artifact.raster.photometric import Target, make_target
+from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera, to_clip
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene
@@ -34,7 +34,12 @@ def sphere_case(results: Path, steps: int = 300) -> tuple[Scene, Soup]:
 
 
 def _stages(
-    view: ViewRaster, drawn: SoupArrays, camera: ViewCamera, target: Target, background: np.ndarray, key: int
+    view: ViewRaster,
+    drawn: SoupArrays,
+    camera: ViewCamera,
+    target: np.ndarray,
+    background: np.ndarray,
+    key: int,
 ) -> dict[str, Callable[[], object]]:
     # One view's part of the trainer's step, in its order.
     out = SoupArrays.of(np.zeros_like(array) for array in drawn.flat())
@@ -42,17 +47,17 @@ def _stages(
         "raster": lambda: view.draw(to_clip(drawn.vertices, camera.matrix), drawn.opacity, key),
         "shading": lambda: view.shade(drawn.features, drawn.mlp, camera.rays, background),
         "L1 + SSIM with gradient": lambda: view.compare(target, BATCH),
-        "opacity gradient": lambda: view.add_opacity_gradient(target.image, BATCH, out.opacity),
+        "opacity gradient": lambda: view.add_opacity_gradient(BATCH, out.opacity),
         "edge gradient": lambda: view.add_edge_gradient(camera.matrix, out.vertices),
-        "shading gradient": lambda: view.add_shading_gradient(drawn.mlp, out.features, out.mlp),
+        "shading gradient": lambda: view.add_shading_gradient(drawn, camera.rays, out.features, out.mlp),
     }
 
 
 def _stage_seconds(scene: Scene, soup: Soup, views: np.ndarray, repetitions: int) -> dict[str, list[float]]:
-    height, width = scene.images.shape[1:3]
+    height, width = scene.images.shape[2:]
     raster, drawn = ViewRaster(height, width), soup.drawn()
     cameras = [make_camera(scene.world_to_clip[view]) for view in views]
-    targets = [make_target(scene.images[view].transpose(2, 0, 1)) for view in views]
+    targets = [make_target(scene.images[view]) for view in views]
     seconds: dict[str, list[float]] = {}
     for repetition in range(repetitions):
         for view, camera, target in zip(views, cameras, targets, strict=True):

@@ -1,4 +1,4 @@
-"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a fresh process: its peak is its own."""
+"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a process of its own."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ train(scene, study_config(shape, steps=2, **changes), device="cpu")  # the kerne
 term, _ = make_run_term(config, mesh)
 cpu, wall = time.process_time(), time.perf_counter()
 outcome = train(scene, config, term=term, device="cpu")
-print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall, "seconds": outcome.seconds,
-                  "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "loss": outcome.losses[-1]}))
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall, "peak_mb": peak,
+                  "seconds": outcome.seconds, "loss": outcome.losses[-1]}))
 """
 
 
 def run_row(shape: str, condition: str, steps: int, threads: int, results: Path, **changes) -> dict:
-    """Return {cpu, wall, seconds by stage, peak_mb, loss} of one run's training loop, compilation and scene left out.
+    """Return {cpu, wall, seconds by stage, peak_mb, loss} of one run's training loop, compilation and scene
+    left out.
 
-    results: folder for the scene; changes: other values than `study_config`'s (numbers). Raises RuntimeError with the child's
-    last line when it fails.
+    results: folder for the scene; changes: other values than `study_config`'s (numbers). Raises RuntimeError
+    with the child's last line when it fails.
     """
     child = subprocess.run(
         [sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results), changes])],

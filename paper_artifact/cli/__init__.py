@@ -17,18 +17,22 @@ import argparse
 import importlib
 import os
 import sys
-from typing import NamedTuple, Sequence
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import NamedTuple
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 
+Runner = Callable[[argparse.Namespace], int | None]
+
 
 class Verb(NamedTuple):
-    """Where a verb lives, what it does in one line, and whether it takes long enough for a progress bar."""
+    """One verb of the command line."""
 
-    module: str
-    summary: str
-    long: bool = True
+    module: str  # its name in this folder
+    summary: str  # what it does, one line
+    long: bool = True  # whether it takes long enough for a progress bar
 
 
 VERBS: dict[str, Verb] = {
@@ -73,8 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
             raise
         print(
-            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not installed; "
-            "in a checkout run `bash test.sh` and use .venv/bin/python, else `pip install 'paper_artifact[study]'`",
+            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not "
+            "installed; in a checkout run `bash test.sh` and use .venv/bin/python, "
+            "else `pip install 'paper_artifact[study]'`",
             file=sys.stderr,
         )
     except KeyboardInterrupt:
@@ -83,20 +88,22 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
     except BrokenPipeError:
-        # The reader (head, less) has gone; point stdout at nothing, so that the interpreter's last flush is silent.
+        # The reader (head, less) has gone; stdout points at nothing, so that the last flush is silent.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
 
 
-def _parser(asked: str | None):
+def _parser(asked: str | None) -> tuple[argparse.ArgumentParser, dict[str, Runner]]:
+    """Return the parser and {verb: its `run`}, the latter of the verb asked for alone."""
     parser = argparse.ArgumentParser(
         prog="python -m paper_artifact",
         description="Topology-aware differentiable triangle-soup reconstruction, piece by piece.",
-        epilog="`python -m paper_artifact VERB --help` explains a verb. Exit codes: 0 done, 1 failed, 2 wrong usage.",
+        epilog="`python -m paper_artifact VERB --help` explains a verb. "
+        "Exit codes: 0 done, 1 failed, 2 wrong usage.",
     )
     parser.add_argument("--version", action="version", version=f"paper_artifact {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    runners = {}
+    runners: dict[str, Runner] = {}
     for name, verb in VERBS.items():
         # "resolve": a verb may define --quiet again with words of its own.
         child = verbs.add_parser(
@@ -114,7 +121,7 @@ def _parser(asked: str | None):
     return parser, runners
 
 
-def _load(name: str, verb: Verb):
+def _load(name: str, verb: Verb) -> ModuleType:
     path = f"paper_artifact.cli.{verb.module}"
     try:
         return importlib.import_module(path)

@@ -1,4 +1,4 @@
-"""`python -m paper_artifact audit MESH`: what a mesh's topology is, what of it is measurable, and how to train on it."""
+"""`python -m paper_artifact audit MESH`: a mesh's topology, what of it is measurable, how to train on it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import argparse
 import re
 from pathlib import Path
 
-from paper_artifact.files import RESULTS
+from paper_artifact.audit.rule import DENSITIES, WORKING
+from paper_artifact.files import RESULTS, write_json, write_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,30 +36,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         nargs="+",
         metavar="M",
-        help="rungs of the staircase (default: 512 1024 2048 4096 8192 20000)",
+        default=DENSITIES,
+        help=f"rungs of the staircase (default: {' '.join(map(str, DENSITIES))})",
     )
     parser.add_argument(
         "--working",
         type=int,
         nargs="+",
         metavar="M",
-        help="densities that the rule may choose (default: 2048 8192)",
+        default=WORKING,
+        help=f"densities that the rule may choose (default: {' '.join(map(str, WORKING))})",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Audit, write the report, print a summary.
-
-    Returns 0, also when nothing is measurable; InputError goes to the caller.
-    """
+    """Audit, write the page, print a summary. Returns 0, also when nothing is measurable."""
     import matplotlib
     from tqdm import tqdm
 
     matplotlib.use("Agg")
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.page import audit_page, headline
-    from paper_artifact.audit.rule import DENSITIES, WORKING
-    from paper_artifact.files import write_json, write_text
     from paper_artifact.scene.find import find_mesh
 
     mesh = find_mesh(arguments.mesh, welded=False)
@@ -67,8 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         audit = audit_mesh(
             mesh,
             arguments.mesh,
-            densities=arguments.densities or DENSITIES,
-            working=arguments.working or WORKING,
+            densities=arguments.densities,
+            working=arguments.working,
             seeds=arguments.seeds,
             first_seed=arguments.seed,
             progress=bar.set_description_str,
@@ -91,14 +89,12 @@ def run(arguments: argparse.Namespace) -> int:
             f"H{d} {margins[0]:.2f}" if margins else f"H{d}    –" for d, margins in enumerate(rung.margins)
         )
         print(
-            f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} longest / floor: {tops}"
+            f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} "
+            f"longest / floor: {tops}"
         )
-    print(
-        "\n".join(
-            f"  {line}"
-            for line in (*audit.decision.reasons, *(f"warning: {text}" for text in audit.decision.warnings))
-        )
-    )
-    print(headline(audit))
-    print("\n".join([*audit.commands, str(folder / "audit.html")]))
+    for reason in audit.decision.reasons:
+        print(f"  {reason}")
+    for warning in audit.decision.warnings:
+        print(f"  warning: {warning}")
+    print(headline(audit), *audit.commands, folder / "audit.html", sep="\n")
     return 0

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the certificate. Returns 0 (with --strict 1 when it fails); InputError goes to the caller."""
+    """Print the certificate. Returns 0, with --strict 1 when it fails."""
     from paper_artifact.certify.certificate import certify_mesh
     from paper_artifact.certify.text import certificate_text
     from paper_artifact.files import write_json

@@ -1,4 +1,4 @@
-"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH`: a soup or mesh measured against a ground truth."""
+"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH`: a soup or mesh against a ground truth."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
+from paper_artifact.evaluate import scores
 from paper_artifact.files import write_json
 
 
@@ -31,14 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples",
         type=int,
-        default=20_000,
+        default=scores.SAMPLES,
         help="surface samples of either side (default: %(default)s, as the paper)",
     )
     parser.add_argument(
         "--dimension",
         type=int,
         choices=(0, 1, 2),
-        help="the discriminating dimension (default: the study's for the shape)",
+        help="the dimension to judge in (default: the study's for the shape)",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")
     parser.add_argument(
@@ -52,7 +53,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--samples must be at least 4, got {arguments.samples}")
     if not arguments.surface.is_file():
         raise InputError(f"no file at {arguments.surface}: give a trained soup (.npz) or a mesh")
-    from paper_artifact.evaluate import scores as metrics
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
@@ -70,15 +70,13 @@ def run(arguments: argparse.Namespace) -> int:
         from paper_artifact.soup.state import load_soup
 
         soup = load_soup(arguments.surface)
-        samples = metrics.soup_samples(soup.vertices.numpy(), soup.corner_opacity(), arguments.samples, draws)
+        samples = scores.soup_samples(soup.vertices.numpy(), soup.corner_opacity(), arguments.samples, draws)
         images = None if arguments.scene is None else _holdout_scores(soup, arguments.scene)
     else:
         mesh = load_mesh(arguments.surface)
         samples = sample_surface(mesh.vertices, mesh.faces, arguments.samples, draws)[0]
-    target = metrics.make_target(
-        truth, arguments.samples, arguments.seed, arguments.dimension, cache=metrics.TARGETS
-    )
-    result = metrics.evaluate_samples(samples, target) | {
+    target = scores.make_target(truth, arguments.samples, arguments.seed, arguments.dimension)
+    result = scores.evaluate_samples(samples, target) | {
         "surface": str(arguments.surface),
         "target": target.name,
         "dimension": target.dimension,
@@ -97,26 +95,28 @@ def run(arguments: argparse.Namespace) -> int:
 def table(result: dict) -> str:
     """Return the lines that the verb prints for its result."""
     lines = [
-        f"{result['surface']} against {result['target']}, {result['samples']} samples a side, seed {result['seed']}",
+        f"{result['surface']} against {result['target']}, {result['samples']} samples a side, "
+        f"seed {result['seed']}",
         "dimension   bottleneck   significant bars   of the target",
     ]
     for dimension in range(3):
         mark = "  <- discriminating" if dimension == result["dimension"] else ""
         lines.append(
-            f"H{dimension}          {result['bottleneck'][dimension]:.5f}      {result['counts'][dimension]:<18} "
-            f"{result['target_counts'][dimension]}{mark}"
+            f"H{dimension}          {result['bottleneck'][dimension]:.5f}      "
+            f"{result['counts'][dimension]:<18} {result['target_counts'][dimension]}{mark}"
         )
     lines.append(
         f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only)"
     )
     lines.append(
-        f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; sum {100 * result['chamfer_sum']:.3f} %), "
-        f"Hausdorff95 {100 * result['hausdorff95']:.3f} %"
+        f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; "
+        f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %"
     )
     if "images" in result:
-        scores = result["images"]
+        images = result["images"]
         lines.append(
-            f"held-out views: PSNR {scores['psnr']:.2f} dB, SSIM {scores['ssim']:.4f} ({len(scores['views'])} views)"
+            f"held-out views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
+            f"({len(images['views'])} views)"
         )
     return "\n".join(lines)
 
@@ -127,4 +127,4 @@ def _holdout_scores(soup, folder: Path) -> dict:
     from paper_artifact.soup.render import render_views
 
     scene = load_scene(folder)
-    return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.images[scene.holdout])
+    return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.colours(scene.holdout))

@@ -1,4 +1,4 @@
-"""`python -m paper_artifact export SOUP.npz --out DIR`: PLY, GLB, PNG renders and an HTML view of a trained soup."""
+"""`python -m paper_artifact export SOUP.npz --out DIR`: a trained soup as PLY, GLB, PNG and an HTML view."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--target",
         metavar="SHAPE|MESH",
-        help="a ground truth (shape, key of a fetched mesh, or file) to show beside the soup in the HTML view",
+        help="a ground truth (shape, key of a fetched mesh, or file) to show beside it in the HTML view",
     )
     parser.add_argument(
         "--scene",
         type=Path,
         metavar="DIR",
-        help="render the held-out views of this COLMAP scene, photographs above (default: views around the soup)",
+        help="render the held-out views of this COLMAP scene, photographs above "
+        "(default: views around the soup)",
     )
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
     parser.add_argument("--size", type=int, default=400, help="their side in pixels (default: %(default)s)")

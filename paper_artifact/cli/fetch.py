@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fetch and print one line per mesh; a failing one is named and the others go on.
+    """Fetch, with a line per mesh; a failing one is named, the others go on.
 
     Returns 0, or 1 if one failed.
     """
@@ -69,7 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{key}: {error}", file=sys.stderr)
         else:
             print(
-                f"{key:<17}{fetched.path.stat().st_size / 1e6:6.2f} MB  {_shown(fetched.path)}  ({fetched.origin})"
+                f"{key:<17}{fetched.path.stat().st_size / 1e6:6.2f} MB  {_shown(fetched.path)}  "
+                f"({fetched.origin})"
             )
     if failed:
         print(f"paper_artifact: {failed} of {len(keys)} meshes could not be fetched", file=sys.stderr)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from paper_artifact.errors import InputError
+from paper_artifact.ingest import solidify
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,9 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--offset",
         type=float,
-        help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: 0.008; pot: its own)",
+        help="ε as a fraction of the bounding-box diagonal; gaps below 2ε close "
+        f"(default: {solidify.OFFSET}; pot: its own)",
     )
-    parser.add_argument("--cells", type=float, help="grid cells per ε (default: 2)")
+    parser.add_argument("--cells", type=float, help=f"grid cells per ε (default: {solidify.CELLS:g})")
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="also write both certificates and the numbers as JSON"
     )
@@ -34,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Ingest, certify, write and print. Returns 0; InputError goes to the caller."""
     from paper_artifact.files import write_json, write_text
-    from paper_artifact.ingest import hot_pot, solidify
+    from paper_artifact.ingest import hot_pot
     from paper_artifact.ingest.write import check_format, write_shell
     from paper_artifact.scene.find import find_mesh
 
@@ -60,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         f"{mesh.name}: raw {raw.verdict}{reasons}, {len(raw.components)} components after the weld\n"
         f"  offset   ε = {solid.offset:.6g}, cell {solid.cell:.6g}, grid {' × '.join(map(str, solid.grid))}\n"
         f"  pockets  {solid.pockets} enclosed, dropped\n"
-        f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, {certificate.vertices} vertices, "
-        f"{certificate.faces} triangles\n"
+        f"  shell    {certificate.verdict}: {certificate.kind}, β = {certificate.betti}, "
+        f"{certificate.vertices} vertices, {certificate.faces} triangles\n"
         f"  sha256   {solid.sha256} (points and triangles)\n"
         f"{arguments.out}"
     )

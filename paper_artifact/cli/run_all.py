@@ -1,4 +1,4 @@
-"""`python -m paper_artifact run-all`: execute every notebook in name order, then print notebook / time / status."""
+"""`python -m paper_artifact run-all`: execute every notebook in name order, then print a table of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--profile",
         choices=PROFILES,
         default=PROFILES[0],
-        help="recorded: read committed records and train only what is short (default); full: train everything",
+        help="recorded: read committed records, train only what is short (default); full: train everything",
     )
     parser.add_argument(
         "--only",
@@ -45,15 +45,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Execute them all, the ones after a failing one too. Returns 0, or 1 if one failed."""
     from tqdm import tqdm
 
-    from paper_artifact.notebooks import execute, notebook_files, outcome_table, own_kernel
+    from paper_artifact.notebooks import execute, execution_table, notebook_files, own_kernel
 
     files = notebook_files(arguments.notebooks, arguments.only)
-    outcomes = []
+    executions = []
     try:
         with own_kernel(), tqdm(files, desc="run-all", unit="notebook", disable=arguments.quiet) as bar:
             for path in bar:
                 bar.set_postfix_str(path.stem)
-                outcomes.append(
+                executions.append(
                     execute(
                         path,
                         arguments.profile,
@@ -63,12 +63,12 @@ def run(arguments: argparse.Namespace) -> int:
                     )
                 )
     finally:  # an interrupted run shows what it did finish
-        print(outcome_table(outcomes))
-    failed = [outcome.name for outcome in outcomes if outcome.error]
+        print(execution_table(executions))
+    failed = [each.name for each in executions if each.error]
     print(f"executed copies: {arguments.out}")
     if failed:
         print(
-            f"paper_artifact: {len(failed)} of {len(outcomes)} notebooks failed: {', '.join(failed)}",
+            f"paper_artifact: {len(failed)} of {len(executions)} notebooks failed: {', '.join(failed)}",
             file=sys.stderr,
         )
     return 1 if failed else 0

@@ -8,6 +8,7 @@ from pathlib import Path
 from paper_artifact.mesh import load_mesh
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.ground_truth import BACKGROUNDS
+from paper_artifact.scene.load import HOLDOUT_EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
 
 
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--views",
         type=int,
         default=default.views,
-        help="cameras, every 8th is held out (default: %(default)s)",
+        help=f"cameras, every {HOLDOUT_EVERY}th is held out (default: %(default)s)",
     )
     parser.add_argument(
         "--size", type=int, default=default.size, help="image side in pixels (default: %(default)s)"
@@ -66,10 +67,11 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
     )
     mesh = make_shape(arguments.shape) if arguments.shape is not None else load_mesh(arguments.mesh)
-    folder = build_scene(mesh, config, arguments.out, progress=not getattr(arguments, "quiet", False))
-    held_out = len(range(0, config.views, 8))
+    folder = build_scene(mesh, config, arguments.out, progress=not arguments.quiet)
+    held_out = len(range(0, config.views, HOLDOUT_EVERY))
     print(
-        f"{folder}: {mesh.name} ({len(mesh.faces)} triangles, diagonal {mesh.diagonal:.4g}), {config.views} views of "
-        f"{config.size}×{config.size} pixels ({held_out} held out), {config.points} SfM points"
+        f"{folder}: {mesh.name} ({len(mesh.faces)} triangles, diagonal {mesh.diagonal:.4g}), "
+        f"{config.views} views of {config.size}×{config.size} pixels ({held_out} held out), "
+        f"{config.points} SfM points"
     )
     return 0

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
+from paper_artifact.study.studies import STUDIES, study_configs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("study", help="baseline, table1, table2 or bowls (paper_artifact/study/studies.py)")
+    parser.add_argument("study", help=f"{', '.join(STUDIES)} (paper_artifact/study/studies.py)")
     parser.add_argument("--shape", action="append", help="only this shape (may be given several times)")
     parser.add_argument(
         "--condition", action="append", help="only this condition (may be given several times)"
@@ -43,7 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from tqdm import tqdm
 
-    from paper_artifact.study.studies import study_configs
     from paper_artifact.study.sweep import missing, sweep
 
     if (arguments.executor == "dask") != bool(arguments.scheduler):
@@ -75,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
     before = len(configs) - len(outcomes)
     print(f"{len(outcomes) - len(failures)} runs done, {before} were recorded before, {len(failures)} failed")
     for outcome in failures:
-        print(
-            f"  {outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}: {outcome.failure}"
-        )
+        config = outcome.config
+        print(f"  {config.shape} {config.condition} seed {config.seed}: {outcome.failure}")
     return 1 if failures else 0

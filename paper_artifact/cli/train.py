@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from paper_artifact.catalogue import study_config
-from paper_artifact.config import RunConfig, parse_changes
+from paper_artifact.catalogue import BASELINE, CONDITIONS, study_config
+from paper_artifact.config import STEPS_OF_THE_STUDY, RunConfig, parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
 
@@ -16,11 +16,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("shape", help="an analytic shape, the key of an external mesh, or a mesh file")
     parser.add_argument(
         "--condition",
-        default="C0",
-        help="C0 (photometric only), C1 (topology loss), C2 (control) … (default: %(default)s)",
+        default=BASELINE,
+        help="; ".join(f"{each.name}: {each.description}" for each in CONDITIONS).replace("%", "%%")
+        + " (default: %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    parser.add_argument("--steps", type=int, default=2500, help="(default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=STEPS_OF_THE_STUDY, help="(default: %(default)s)")
     parser.add_argument(
         "--set",
         action="append",
@@ -34,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="change a setting of the condition's loss, e.g. --loss rho=0.2 --loss samples=8192 --loss dimensions=1,2",
+        help="change a setting of the condition's loss, "
+        "e.g. --loss rho=0.2 --loss samples=8192 --loss dimensions=1,2",
     )
     parser.add_argument(
         "--results",

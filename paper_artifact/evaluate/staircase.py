@@ -14,7 +14,7 @@ KEPT = 4  # longest bars kept per dimension: no surface of the study has more cl
 
 
 def measure(mesh: Mesh, samples: int, seed: int) -> tuple[Diagram, float]:
-    """Return (diagram, floor), radius / diagonal, of `samples` points of the mesh: the bundle's of that seed."""
+    """Return (diagram, floor), radius / diagonal, of `samples` points of the mesh: those of a bundle."""
     points, _, _ = sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, "bundle-samples"))
     return diagram_of(points, mesh.diagonal), measurement_floor(points, mesh.diagonal, MULTIPLIER)
 

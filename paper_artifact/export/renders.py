@@ -49,4 +49,4 @@ def scene_renders(soup: Soup, folder: Path | str) -> list[list[np.ndarray]]:
     Raises InputError as `load_scene` does.
     """
     scene = load_scene(folder)
-    return [list(scene.images[scene.holdout]), list(render_views(soup, scene, scene.holdout))]
+    return [list(scene.colours(scene.holdout)), list(render_views(soup, scene, scene.holdout))]

@@ -15,6 +15,8 @@ import numba
 import numpy as np
 import torch
 
+from paper_artifact.raster.lanes import inlined, to_float
+
 _MASK = 0xFFFFFFFF
 _SEED, _STEP, _VIEW, _PIXEL, _TRIANGLE = 0x9E3779B9, 0x85EBCA6B, 0xC2B2AE35, 0x9E3779B1, 0x85EBCA77
 _M1, _M2 = 0x7FEB352D, 0x846CA68B
@@ -43,6 +45,17 @@ def draw(key: np.uint32, pixel: np.uint32, triangle: np.uint32) -> np.float32:
     x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(_M2))
     x = np.uint32(x ^ (x >> np.uint32(16)))
     return np.float32(x >> np.uint32(8)) * np.float32(_UNIT)
+
+
+@inlined
+def draw_lanes(key, pixel, triangle):
+    """Return `draw` of sixteen pixels (int32 lanes) of one triangle, in a kernel (float32 lanes); key
+    uint32."""
+    x = pixel * _PIXEL + (key + triangle * _TRIANGLE)
+    x = (x ^ (x >> 16)) * _M1
+    x = (x ^ (x >> 15)) * _M2
+    x = x ^ (x >> 16)
+    return to_float(x >> 8) * (1.0 / 16777216.0)
 
 
 def draw_torch(key: int, pixel: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:

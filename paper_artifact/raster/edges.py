@@ -1,286 +1,244 @@
-"""Backward kernels on the CPU that belong to visibility: the edge gradient (vertices) and the opacity gradient.
+"""The edge gradient on the CPU: what moving a triangle's corners does to the image (DRTK's EdgeGrad as
+DiffSoup extends it).
 
-Edge gradient (DRTK's EdgeGrad as DiffSoup extends it): for each pair of neighbouring pixels with adjoint
-a = sum over channels of ½(g0 + g1)(c0 - c1), a pull g in NDC acts at a point m of a triangle. With mu_i = lambda_i / w_i (affine
-in pixels) its effect on the clip-space corners is d xyz_i += g·mu_i(m), d w_i -= (g·m_ndc)·mu_i(m), whatever the kind of edge: so
-each pull only adds to twelve moments of its triangle (sums of g and of s = g·m_ndc, times 1, column, row), and the corners are
-served once per triangle at the end.
+For each pair of neighbouring pixels p, q (q right of p or below) with adjoint a = sum over channels of ½(g_p
++ g_q)(c_p - c_q), the pull a·W/2 (or a·H/2) in NDC acts on each of the two visible triangles at a point m
+between the pixels. The same signed pull serves both, since adjoint and direction change sign together; inside
+one triangle it counts twice, as in DiffSoup. With mu_i = lambda_i / w_i (affine in pixels, see `visibility`)
+a pull g = (gx, gy, gz) moves clip-space corner i by mu_i(m)·(gx, gy, gz, -g·m), whatever the kind of edge.
+
+Pairs wait in a queue, those inside a triangle in one of their own, and are served sixteen at a time without a
+branch: a lane is a pair, and `load_rows` brings its triangle's planes. So it does not matter whether a border
+or an intersection lies between two triangles.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    add_to_rows,
+    bits,
+    compress,
+    first,
+    fma,
+    inlined,
+    iota,
+    load,
+    load_part,
+    load_rows,
+    maximum,
+    minimum,
+    popcount,
+    select,
+    splat,
+    store,
+    to_float,
+)
 
-@numba.njit(inline="always")
-def _pull(moments, rectangles, t, column, row, gx, gy, gz, z, sx, sy):
-    x, y = column - rectangles[t, 2], row - rectangles[t, 0]
-    s = gx * ((column + 0.5) * sx - 1.0) + gy * ((row + 0.5) * sy - 1.0) + gz * z
-    moments[t, 0] += gx
-    moments[t, 1] += gx * x
-    moments[t, 2] += gx * y
-    moments[t, 3] += gy
-    moments[t, 4] += gy * x
-    moments[t, 5] += gy * y
-    moments[t, 6] += gz
-    moments[t, 7] += gz * x
-    moments[t, 8] += gz * y
-    moments[t, 9] += s
-    moments[t, 10] += s * x
-    moments[t, 11] += s * y
+_QUEUE = 2 * WIDTH
+_COLUMN, _ROW = 12, 13  # places in a row of planes, after the twelve coefficients
 
 
-@numba.njit(inline="always")
-def _evaluate(coefficients, rectangles, t, first, column, row):
+class Pairs(NamedTuple):
+    """A queue of up to 32 pairs of pixels p, q that await service; row r, place k is at r·32 + k."""
+
+    value: np.ndarray  # (6,32) float32: p's column, row, 1 where q is below (else right), adjoint, depths
+    triangle: np.ndarray  # (2,32) int32: visible triangle's index + 1 at p and q, 0 where there is none
+
+
+@inlined
+def _values(plane, x, y):
+    # mu_0, mu_1, mu_2 and depth of sixteen triangles, each at its pixel (column x, row y).
+    x, y = x - plane[_COLUMN], y - plane[_ROW]
     return (
-        coefficients[t, first]
-        + coefficients[t, first + 1] * np.float32(column - rectangles[t, 2])
-        + coefficients[t, first + 2] * np.float32(row - rectangles[t, 0])
+        fma(plane[2], y, fma(plane[1], x, plane[0])),
+        fma(plane[5], y, fma(plane[4], x, plane[3])),
+        fma(plane[8], y, fma(plane[7], x, plane[6])),
+        fma(plane[11], y, fma(plane[10], x, plane[9])),
     )
 
 
+@inlined
+def _inside(values):
+    return (values[0] >= 0.0) & (values[1] >= 0.0) & (values[2] >= 0.0)
+
+
+@inlined
+def _pull_one(here, there, other_here, depth, other_depth, alone, pull, crossing):
+    # One pixel's view of the pairs. here, there, other_here: `_values` of its triangle at its own pixel and
+    # at the other, and of the other's triangle here; alone: nothing is visible at the other pixel; crossing:
+    # the pull along the pair's direction and in depth where the two triangles pass through each other.
+    # Returns how far from here to there the pull acts (0 to 1), and its two parts.
+    (p0, p1, p2, _), (q0, q1, q2, depth_there) = here, there
+    goes_on, in_front = _inside(there), alone | (depth < other_depth)
+    hidden = goes_on & ~alone & (other_depth < depth_there)
+    meets = hidden & _inside(other_here) & (depth < other_here[3])
+    # Geometric edge: where the segment between the pixel centres leaves the triangle. Else the middle.
+    border = select(q0 < 0.0, minimum(p0 / (p0 - q0), 1.0), 1.0)
+    border = select(q1 < 0.0, minimum(p1 / (p1 - q1), border), border)
+    border = select(q2 < 0.0, minimum(p2 / (p2 - q2), border), border)
+    fraction = select(goes_on, 0.5, maximum(border, 0.0))
+    along = select(meets, crossing[0], select(in_front & ~hidden, pull, 0.0))
+    return fraction, along, select(meets, crossing[1], 0.0)
+
+
+@inlined
+def _corners(here, there, fraction, along, deep, below, where):
+    # What the pulls do to the clip-space corners: x, y, z, w of the first, second, third. where: NDC of the
+    # point along its axis.
+    gx, gy = select(below, 0.0, along), select(below, along, 0.0)
+    gw = -fma(along, where, deep * (0.5 * (here[3] + there[3])))
+    m0 = fma(fraction, there[0] - here[0], here[0])
+    m1 = fma(fraction, there[1] - here[1], here[1])
+    m2 = fma(fraction, there[2] - here[2], here[2])
+    first_two = m0 * gx, m0 * gy, m0 * deep, m0 * gw, m1 * gx, m1 * gy, m1 * deep, m1 * gw
+    zero = splat(0.0)
+    return (*first_two, m2 * gx, m2 * gy, m2 * deep, m2 * gw, zero, zero, zero, zero)
+
+
+@inlined
+def _geometry(pairs, size):
+    # Of the first sixteen pairs: column and row of p and of q, whether q is below, pixels per unit of NDC and
+    # back, coordinate of p along the pair's direction (pixels from the image's border), pull.
+    x, y, below = load(pairs.value, 0), load(pairs.value, _QUEUE), load(pairs.value, 2 * _QUEUE) != 0.0
+    x_q, y_q = select(below, x, x + 1.0), select(below, y + 1.0, y)
+    half = select(below, splat(0.5 * size[0]), splat(0.5 * size[1]))
+    scale = select(below, splat(2.0 / size[0]), splat(2.0 / size[1]))
+    return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * _QUEUE) * half
+
+
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_inside(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, in the middle and twice since from both
+    # pixels, to corners.
+    x, y, x_q, y_q, below, _, scale, at, pull = _geometry(pairs, size)
+    t = select(first(count), load(pairs.triangle, 0), 0)
+    plane, middle, where = load_rows(planes, t), splat(0.5), (at + 0.5) * scale - 1.0
+    here, there = _values(plane, x, y), _values(plane, x_q, y_q)
+    add_to_rows(corners, t, _corners(here, there, middle, 2.0 * pull, splat(0.0), below, where))
+
+
+@numba.njit(_nrt=False, error_model="numpy")
+def _serve_edges(pairs, count, planes, size, corners):
+    # Add what the first `count` <= 16 pairs of the queue pull, two triangles each, to corners.
+    x, y, x_q, y_q, below, half, scale, at, pull = _geometry(pairs, size)
+    depth_p, depth_q = load(pairs.value, 4 * _QUEUE), load(pairs.value, 5 * _QUEUE)
+    t_p = select(first(count), load(pairs.triangle, 0), 0)
+    t_q = select(first(count), load(pairs.triangle, _QUEUE), 0)
+    plane_p, plane_q = load_rows(planes, t_p), load_rows(planes, t_q)
+    p_at_p, p_at_q = _values(plane_p, x, y), _values(plane_p, x_q, y_q)
+    q_at_p, q_at_q = _values(plane_q, x, y), _values(plane_q, x_q, y_q)
+    # Intersection edge. The normals are (-slope, 1) of each depth plane in the x-z (or y-z) plane, NDC.
+    slope_p = select(below, plane_p[11], plane_p[10]) * half
+    slope_q = select(below, plane_q[11], plane_q[10]) * half
+    difference = slope_p - slope_q
+    steep = difference * difference > 1e-24 * (1.0 + slope_p * slope_p) * (1.0 + slope_q * slope_q)
+    ratio = select(steep, pull / difference, 0.0)  # none for (nearly) parallel planes
+
+    crossing = slope_p * ratio, -ratio
+    fraction, along, deep = _pull_one(p_at_p, p_at_q, q_at_p, depth_p, depth_q, t_q == 0, pull, crossing)
+    where = (at + fraction) * scale - 1.0
+    add_to_rows(corners, t_p, _corners(p_at_p, p_at_q, fraction, along, deep, below, where))
+
+    crossing = -slope_q * ratio, ratio
+    fraction, along, deep = _pull_one(q_at_q, q_at_p, p_at_q, depth_q, depth_p, t_p == 0, pull, crossing)
+    where = (at + (1.0 - fraction)) * scale - 1.0
+    add_to_rows(corners, t_q, _corners(q_at_q, q_at_p, fraction, along, deep, below, where))
+
+
+@inlined
+def _adjoints(colour, gradient, size, p, q, count):
+    # ½ sum over channels of (g_p + g_q)(c_p - c_q) of the first `count` of sixteen pairs, 0 in the other
+    # lanes.
+    out = splat(0.0)
+    for c in range(0, 3 * size, size):
+        g = load_part(gradient, c + p, count) + load_part(gradient, c + q, count)
+        out = fma(g, load_part(colour, c + p, count) - load_part(colour, c + q, count), out)
+    return 0.5 * out
+
+
+@inlined
+def _put(pairs, waiting, mask, column, row, below, adjoint, triangles, depths):
+    # Append the pairs where mask; returns how many wait now.
+    store(pairs.value, waiting, compress(to_float(iota() + column), mask))
+    store(pairs.value, waiting + _QUEUE, splat(row))
+    store(pairs.value, waiting + 2 * _QUEUE, splat(below))
+    store(pairs.value, waiting + 3 * _QUEUE, compress(adjoint, mask))
+    for k in range(2):
+        store(pairs.value, waiting + (4 + k) * _QUEUE, compress(depths[k], mask))
+        store(pairs.triangle, waiting + k * _QUEUE, compress(triangles[k], mask))
+    return waiting + popcount(bits(mask))
+
+
+@inlined
+def _drop_served(pairs):
+    # The first sixteen go.
+    for k in range(0, 6 * _QUEUE, _QUEUE):
+        store(pairs.value, k, load(pairs.value, k + WIDTH))
+    for k in range(0, 2 * _QUEUE, _QUEUE):
+        store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _edge_side(
-    coefficients, rectangles, moments, t0, column0, row0, depth0, t1, column1, row1, depth1, gx, gy, sx, sy
-):
-    # One pixel's view of the pair: the triangle t0 visible at pixel 0, against whatever (t1, or nothing: -1) pixel 1 shows.
-    q0 = _evaluate(coefficients, rectangles, t0, 0, column1, row1)
-    q1 = _evaluate(coefficients, rectangles, t0, 3, column1, row1)
-    q2 = _evaluate(coefficients, rectangles, t0, 6, column1, row1)
-    in_front = t1 < 0 or depth0 < depth1
-    if q0 >= 0 and q1 >= 0 and q2 >= 0:
-        middle_column, middle_row = 0.5 * (column0 + column1), 0.5 * (row0 + row1)
-        if t1 >= 0 and depth1 < _evaluate(coefficients, rectangles, t0, 9, column1, row1):
-            inside = (
-                _evaluate(coefficients, rectangles, t1, 0, column0, row0) >= 0
-                and _evaluate(coefficients, rectangles, t1, 3, column0, row0) >= 0
-                and _evaluate(coefficients, rectangles, t1, 6, column0, row0) >= 0
-            )
-            if inside and depth0 < _evaluate(coefficients, rectangles, t1, 9, column0, row0):
-                # Intersection edge. The normals are (-slope, 1) of each depth plane in the x-z (or y-z) plane, NDC.
-                axis = 10 if row0 == row1 else 11
-                scale = 1.0 / sx if row0 == row1 else 1.0 / sy
-                vary, fixed = coefficients[t0, axis] * scale, coefficients[t1, axis] * scale
-                difference = vary - fixed
-                if abs(difference) > 1e-12 * np.sqrt((1.0 + vary * vary) * (1.0 + fixed * fixed)):
-                    pull = gx if row0 == row1 else gy
-                    along, depth_pull = pull * vary / difference, -pull / difference
-                    z = (
-                        coefficients[t0, 9]
-                        + coefficients[t0, 10] * (middle_column - rectangles[t0, 2])
-                        + coefficients[t0, 11] * (middle_row - rectangles[t0, 0])
-                    )
-                    ax, ay = (along, 0.0) if row0 == row1 else (0.0, along)
-                    _pull(moments, rectangles, t0, middle_column, middle_row, ax, ay, depth_pull, z, sx, sy)
-        elif in_front:
-            _pull(moments, rectangles, t0, middle_column, middle_row, gx, gy, 0.0, 0.0, sx, sy)
-    elif in_front:
-        # Geometric edge: where the segment between the pixel centres leaves the triangle.
-        crossing = 1.0
-        p = _evaluate(coefficients, rectangles, t0, 0, column0, row0)
-        if q0 < 0:
-            crossing = min(crossing, p / (p - q0))
-        p = _evaluate(coefficients, rectangles, t0, 3, column0, row0)
-        if q1 < 0:
-            crossing = min(crossing, p / (p - q1))
-        p = _evaluate(coefficients, rectangles, t0, 6, column0, row0)
-        if q2 < 0:
-            crossing = min(crossing, p / (p - q2))
-        crossing = max(crossing, 0.0)
-        column, row = column0 + crossing * (column1 - column0), row0 + crossing * (row1 - row0)
-        _pull(moments, rectangles, t0, column, row, gx, gy, 0.0, 0.0, sx, sy)
+def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
+    """Add the edge gradient of one view to vertex_gradient (T,3,3) float32, world.
 
-
-@numba.njit(forceinline=True, error_model="numpy")
-def _pair(
-    triangle, depth, coefficients, rectangles, moments, p, column0, row0, q, column1, row1, gx, gy, sx, sy
-):
-    # Two neighbouring pixels p and q that show different triangles (or, one of them, nothing): both their views of the pair.
-    tp, tq, zp, zq = triangle[p], triangle[q], depth[p], depth[q]
-    if tp >= 0:
-        _edge_side(
-            coefficients, rectangles, moments, tp, column0, row0, zp, tq, column1, row1, zq, gx, gy, sx, sy
-        )
-    if tq >= 0:
-        _edge_side(
-            coefficients, rectangles, moments, tq, column1, row1, zq, tp, column0, row0, zp, gx, gy, sx, sy
-        )
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _adjoints(c0, c1, c2, g0, g1, g2, start, offset, count, out):
-    # out[k] = ½ sum over channels of (g[p] + g[q])(c[p] - c[q]) with p = start + k, q = p + offset.
-    for k in range(count):
-        p = start + k
-        out[k] = np.float32(0.5) * (
-            (g0[p] + g0[p + offset]) * (c0[p] - c0[p + offset])
-            + (g1[p] + g1[p + offset]) * (c1[p] - c1[p + offset])
-            + (g2[p] + g2[p + offset]) * (c2[p] - c2[p + offset])
-        )
-
-
-@numba.njit(inline="always")
-def _flush(moments, rectangles, t, row, right0, right1, right2, down0, down1, sx, sy):
-    # Add a run of pairs inside triangle t on one row: sums over the pairs of 2·g·(1, x, x²) to the right, of 2·g·(1, x) downward.
-    y = float(row - rectangles[t, 0])
-    shift = (rectangles[t, 2] + 0.5) * sx - 1.0  # ndc_x = shift + sx·x
-    along, along_x = shift * right0 + sx * right1, shift * right1 + sx * right2
-    ndc_y = (row + 1.0) * sy - 1.0
-    moments[t, 0] += right0
-    moments[t, 1] += right1
-    moments[t, 2] += right0 * y
-    moments[t, 3] += down0
-    moments[t, 4] += down1
-    moments[t, 5] += down0 * (y + 0.5)
-    moments[t, 9] += along + ndc_y * down0
-    moments[t, 10] += along_x + ndc_y * down1
-    moments[t, 11] += along * y + ndc_y * down0 * (y + 0.5)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def edge_moments(surface, planes, colour, gradient, moments):
-    """Add every pixel pair's pull to moments (T,12) float64 (zeroed by the caller).
-
-    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32. The same signed pull serves
-    both pixels of a pair, since adjoint and direction change sign together; inside one triangle it therefore counts
-    twice, and the pairs of a run along a row are summed before they are added.
+    surface, planes: see `visibility`; colour and gradient (dL/dcolour) (3,H,W) float32; matrix (4,4) float32
+    is world → clip.
     """
-    height, width = colour.shape[1], colour.shape[2]
-    triangle, depth = surface.triangle, surface.depth
-    coefficients, rectangles = planes.coefficients, planes.rectangles
-    c, g = colour.reshape(3, height * width), gradient.reshape(3, height * width)
-    sx, sy = 2.0 / width, 2.0 / height
-    to_right, downward = np.empty(width, np.float32), np.empty(width, np.float32)
+    height, width = image = colour.shape[1:]
+    triangles = len(vertex_gradient)
+    # One row per triangle, row 0 for where none is visible: planes as `load_rows` takes them, and dL/d of the
+    # corners' clip space.
+    rows, corners = np.zeros((1 + triangles, WIDTH), np.float32), np.zeros((1 + triangles, WIDTH))
+    for t in range(triangles):
+        for k in range(12):
+            rows[1 + t, k] = planes.coefficients[t, k]
+        rows[1 + t, _COLUMN], rows[1 + t, _ROW] = planes.rectangles[t, 2], planes.rectangles[t, 0]
+    inside = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    edges = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    waiting_inside, waiting_edges = 0, 0
     for row in range(height):
-        start = row * width
-        _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, 1, width - 1, to_right)
-        to_right[width - 1] = np.float32(0.0)
-        if row + 1 < height:
-            _adjoints(c[0], c[1], c[2], g[0], g[1], g[2], start, width, width, downward)
-        else:
-            downward[:] = np.float32(0.0)
-        current = -1
-        right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
-        for column in range(width):
-            p = start + column
-            tp = triangle[p]
-            if tp != current:
-                if current >= 0:
-                    _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
-                right0, right1, right2, down0, down1 = 0.0, 0.0, 0.0, 0.0, 0.0
-                current = tp
-            if to_right[column] != 0:
-                gx = to_right[column] / sx
-                if triangle[p + 1] == tp:
-                    if tp >= 0:
-                        x = column - rectangles[tp, 2] + 0.5
-                        right0 += 2 * gx
-                        right1 += 2 * gx * x
-                        right2 += 2 * gx * x * x
-                else:
-                    _pair(
-                        triangle,
-                        depth,
-                        coefficients,
-                        rectangles,
-                        moments,
-                        p,
-                        column,
-                        row,
-                        p + 1,
-                        column + 1,
-                        row,
-                        gx,
-                        0.0,
-                        sx,
-                        sy,
-                    )
-            if downward[column] != 0:
-                gy = downward[column] / sy
-                q = p + width
-                if triangle[q] == tp:
-                    if tp >= 0:
-                        down0 += 2 * gy
-                        down1 += 2 * gy * (column - rectangles[tp, 2])
-                else:
-                    _pair(
-                        triangle,
-                        depth,
-                        coefficients,
-                        rectangles,
-                        moments,
-                        p,
-                        column,
-                        row,
-                        q,
-                        column,
-                        row + 1,
-                        0.0,
-                        gy,
-                        sx,
-                        sy,
-                    )
-        if current >= 0:
-            _flush(moments, rectangles, current, row, right0, right1, right2, down0, down1, sx, sy)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def moments_to_vertices(moments, planes, matrix, vertex_gradient):
-    """Turn moments (T,12) into world-space gradients, added to vertex_gradient (T,3,3) float32.
-
-    matrix (4,4) float32 is world → clip.
-    """
-    coefficients, rectangles = planes.coefficients, planes.rectangles
-    for t in range(moments.shape[0]):
-        if rectangles[t, 0] < 0:
-            continue
-        for corner in range(3):
-            a, b, c = (
-                coefficients[t, 3 * corner],
-                coefficients[t, 3 * corner + 1],
-                coefficients[t, 3 * corner + 2],
-            )
-            gx = a * moments[t, 0] + b * moments[t, 1] + c * moments[t, 2]
-            gy = a * moments[t, 3] + b * moments[t, 4] + c * moments[t, 5]
-            gz = a * moments[t, 6] + b * moments[t, 7] + c * moments[t, 8]
-            gw = -(a * moments[t, 9] + b * moments[t, 10] + c * moments[t, 11])
-            for axis in range(3):
-                vertex_gradient[t, corner, axis] += (
-                    matrix[0, axis] * gx + matrix[1, axis] * gy + matrix[2, axis] * gz + matrix[3, axis] * gw
+        for column in range(0, width, WIDTH):
+            p = row * width + column
+            for below in range(2):
+                q, count = p + 1, width - 1 - column
+                if below:
+                    q, count = p + width, (width - column if row + 1 < height else 0)
+                adjoint = _adjoints(colour, gradient, height * width, p, q, count)
+                t_p = load_part(surface.triangle, p, count) + 1
+                t_q = load_part(surface.triangle, q, count) + 1
+                active = (adjoint != 0.0) & ((t_p | t_q) != 0)
+                if bits(active) == 0:
+                    continue
+                depths = load_part(surface.depth, p, count), load_part(surface.depth, q, count)
+                mask = active & (t_p == t_q)
+                waiting_inside = _put(
+                    inside, waiting_inside, mask, column, row, below, adjoint, (t_p, t_q), depths
                 )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def opacity_backward(count, fragments, surface, colour, target, weight, opacity_gradient):
-    """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
-
-    count: how many fragments there are; colour and target (3,H,W) float32. With e = sum over channels of
-    |colour - target| at the pixel: the visible fragment's alpha gets +e / max(alpha, 1e-5), every other fragment in
-    front of it -e / max(1 - alpha, 1e-5), times `weight`; spread to the corners by the barycentrics.
-    """
-    fragment_index, fragment_value = fragments.index, fragments.value
-    visible, depth = surface.visible, surface.depth
-    size = colour.shape[1] * colour.shape[2]
-    shown, wanted = colour.reshape(3, size), target.reshape(3, size)
-    for number in range(count):
-        pixel, t = fragment_index[number, 0], fragment_index[number, 1]
-        if fragment_value[number, 2] > depth[pixel]:
-            continue
-        error = (
-            abs(shown[0, pixel] - wanted[0, pixel])
-            + abs(shown[1, pixel] - wanted[1, pixel])
-            + abs(shown[2, pixel] - wanted[2, pixel])
-        )
-        if error == 0:
-            continue
-        alpha = fragment_value[number, 3]
-        if visible[pixel] == number:
-            value = error / max(alpha, np.float32(1e-5))
-        else:
-            value = -error / max(np.float32(1.0) - alpha, np.float32(1e-5))
-        value *= weight
-        b0, b1 = fragment_value[number, 0], fragment_value[number, 1]
-        opacity_gradient[t, 0] += b0 * value
-        opacity_gradient[t, 1] += b1 * value
-        opacity_gradient[t, 2] += (np.float32(1.0) - b0 - b1) * value
+                if waiting_inside >= WIDTH:
+                    _serve_inside(inside, WIDTH, rows, image, corners)
+                    _drop_served(inside)
+                    waiting_inside -= WIDTH
+                mask = active & (t_p != t_q)
+                waiting_edges = _put(
+                    edges, waiting_edges, mask, column, row, below, adjoint, (t_p, t_q), depths
+                )
+                if waiting_edges >= WIDTH:
+                    _serve_edges(edges, WIDTH, rows, image, corners)
+                    _drop_served(edges)
+                    waiting_edges -= WIDTH
+    _serve_inside(inside, waiting_inside, rows, image, corners)
+    _serve_edges(edges, waiting_edges, rows, image, corners)
+    for t in range(triangles):
+        for i in range(3):
+            for axis in range(3):
+                total = 0.0
+                for k in range(4):
+                    total += matrix[k, axis] * corners[1 + t, 4 * i + k]
+                vertex_gradient[t, i, axis] += total

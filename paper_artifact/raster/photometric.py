@@ -1,228 +1,292 @@
-"""Photometric loss kernel on the CPU: .8·mean|target - colour| + .2·½(1 - SSIM), value and gradient in one pass.
+"""Photometric loss kernel on the CPU: .8·mean|target - colour| + .2·½(1 - SSIM), value and gradient in one
+pass.
 
-SSIM: 11×11 Gaussian window, sigma 1.5 px, data range 1, valid windows only, mean over windows, channels and views (the
-definition of pytorch-msssim, which DiffSoup trains with). The target's own blurred moments never change; they are computed once.
-Windows that see nothing but equal pixels have SSIM 1 and no gradient: only the rectangle around the unequal ones is visited.
+SSIM: 11×11 Gaussian window, sigma 1.5 px, data range 1, valid windows only, mean over windows, channels and
+views (the definition of pytorch-msssim, which DiffSoup trains with). Windows that see nothing but equal
+pixels have SSIM 1 and no gradient: only the rectangle around the unequal ones is visited.
+
+A pass makes two rows of windows and two rows of the gradient. Rows of pixels enter a ring of the last twelve;
+the window runs down its columns first, then along the two rows of sums, which gives the five moments and
+SSIM's derivatives by them; these run back the other way, along the rows first, then down a ring of their last
+twelve rows. So everything stays in the cache, and the target's moments are made anew each time: keeping them
+would cost eight bytes a pixel and channel for little time.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from paper_artifact.errors import InputError
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    absolute,
+    bits,
+    first,
+    fma,
+    inlined,
+    load,
+    load_part,
+    load_unit_part,
+    select,
+    shifted,
+    splat,
+    store,
+    store_part,
+    total,
+)
 
 TAPS, RADIUS = 11, 5
 L1_WEIGHT, SSIM_WEIGHT = 0.8, 0.2
-_C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
-_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
+_C1, _C2 = 0.01**2, 0.03**2
 _offsets = np.arange(TAPS) - RADIUS
 WINDOW = (np.exp(-(_offsets**2) / (2 * 1.5**2)) / np.exp(-(_offsets**2) / (2 * 1.5**2)).sum()).astype(
     np.float32
 )
-_K0, _K1, _K2, _K3, _K4, _K5 = (np.float32(WINDOW[i]) for i in range(6))
+_K0, _K1, _K2, _K3, _K4, _K5 = (float(WINDOW[i]) for i in range(6))
+# A ring holds the last twelve rows (two rows of windows see twelve) and is read as twelve neighbours: row r
+# is kept twice, in slots r % 12 and r % 12 + 12. Its layout is (blocks of 16 columns, slots, 16).
+_ROWS = TAPS + 1
+_SLOTS = 2 * _ROWS
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _blur(source, out, scratch, rows, columns):
-    # Valid separable blur of source[:rows, :columns] into out[:rows-10, :columns-10]; the window is symmetric.
-    for r in range(rows):
-        s, d = source[r], scratch[r]
-        for c in range(columns - 10):
-            d[c] = (
-                _K5 * s[c + 5]
-                + _K4 * (s[c + 4] + s[c + 6])
-                + _K3 * (s[c + 3] + s[c + 7])
-                + _K2 * (s[c + 2] + s[c + 8])
-                + _K1 * (s[c + 1] + s[c + 9])
-                + _K0 * (s[c] + s[c + 10])
-            )
-    for r in range(rows - 10):
-        d = out[r]
-        s0, s1, s2, s3, s4, s5 = (
-            scratch[r],
-            scratch[r + 1],
-            scratch[r + 2],
-            scratch[r + 3],
-            scratch[r + 4],
-            scratch[r + 5],
-        )
-        s6, s7, s8, s9, s10 = scratch[r + 6], scratch[r + 7], scratch[r + 8], scratch[r + 9], scratch[r + 10]
-        for c in range(columns - 10):
-            d[c] = (
-                _K5 * s5[c]
-                + _K4 * (s4[c] + s6[c])
-                + _K3 * (s3[c] + s7[c])
-                + _K2 * (s2[c] + s8[c])
-                + _K1 * (s1[c] + s9[c])
-                + _K0 * (s0[c] + s10[c])
-            )
+@inlined
+def _window(v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10):
+    # The window is symmetric.
+    inner = fma(_K3, v3 + v7, fma(_K4, v4 + v6, _K5 * v5))
+    return fma(_K0, v0 + v10, fma(_K1, v1 + v9, fma(_K2, v2 + v8, inner)))
 
 
-@numba.njit(cache=True, nogil=True)
-def target_moments(target, mean, square):
-    """Fill mean and square (3,H-10,W-10) float32: windowed mean of target (3,H,W) and of its square."""
-    height, width = target.shape[1], target.shape[2]
-    scratch = np.empty((height, width), np.float32)
-    for channel in range(3):
-        _blur(target[channel], mean[channel], scratch, height, width)
-        _blur(target[channel] * target[channel], square[channel], scratch, height, width)
+@inlined
+def _down(v):
+    # The window at two neighbouring rows, of twelve rows v.
+    v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11 = v
+    upper = _window(v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10)
+    return upper, _window(v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11)
+
+
+@inlined
+def _along(line, c):
+    # The window over elements c … c + 10 and the fifteen places after it.
+    a, b = load(line, c), load(line, c + WIDTH)
+    return _window(
+        a,
+        shifted(a, b, 1),
+        shifted(a, b, 2),
+        shifted(a, b, 3),
+        shifted(a, b, 4),
+        shifted(a, b, 5),
+        shifted(a, b, 6),
+        shifted(a, b, 7),
+        shifted(a, b, 8),
+        shifted(a, b, 9),
+        shifted(a, b, 10),
+    )
+
+
+@inlined
+def _rows(ring, at):
+    return (
+        load(ring, at),
+        load(ring, at + 16),
+        load(ring, at + 32),
+        load(ring, at + 48),
+        load(ring, at + 64),
+        load(ring, at + 80),
+        load(ring, at + 96),
+        load(ring, at + 112),
+        load(ring, at + 128),
+        load(ring, at + 144),
+        load(ring, at + 160),
+        load(ring, at + 176),
+    )
+
+
+@inlined
+def _product(a, b):
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11 = a
+    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11 = b
+    return (
+        a0 * b0,
+        a1 * b1,
+        a2 * b2,
+        a3 * b3,
+        a4 * b4,
+        a5 * b5,
+        a6 * b6,
+        a7 * b7,
+        a8 * b8,
+        a9 * b9,
+        a10 * b10,
+        a11 * b11,
+    )
+
+
+@inlined
+def _keep(ring, at, value):
+    store(ring, at, value)
+    store(ring, at + _ROWS * WIDTH, value)
+
+
+@inlined
+def _store_two(lines, c, values):
+    store(lines[0], c, values[0])
+    store(lines[1], c, values[1])
+
+
+@inlined
+def _ssim_terms(mx, my, xx, yy, xy):
+    # SSIM of windows with means, mean squares and mean product, and its derivatives by mx, xx and xy.
+    vx, vy, vxy = fma(-mx, mx, xx), fma(-my, my, yy), fma(-mx, my, xy)
+    l_top, l_bottom = fma(2.0 * mx, my, splat(_C1)), fma(mx, mx, fma(my, my, _C1))
+    s_top, s_bottom = fma(2.0, vxy, _C2), vx + vy + _C2
+    inverse = 1.0 / (l_bottom * s_bottom)
+    structure = s_top * l_bottom * inverse
+    value = l_top * s_bottom * inverse * structure
+    by_square, by_cross = -value * l_bottom * inverse, 2.0 * l_top * inverse
+    by_mean = 2.0 * fma(my, structure, -mx * value) * s_bottom * inverse
+    return value, by_mean - 2.0 * mx * by_square - my * by_cross, by_square, by_cross
 
 
 @numba.njit(cache=True, nogil=True)
 def _active_rectangle(colour, target):
+    # First and last row and column where the two differ; last row -1 where they do not.
     height, width = colour.shape[1], colour.shape[2]
-    row0, row1, column0, column1 = height, -1, width, -1
+    differ = np.zeros((width + WIDTH - 1) // WIDTH, np.int32)
+    row0, row1 = height, -1
     for channel in range(3):
         for r in range(height):
-            a, b = colour[channel, r], target[channel, r]
-            first = 0
-            while first < width and a[first] == b[first]:
-                first += 1
-            if first == width:
-                continue
-            last = width - 1
-            while a[last] == b[last]:
-                last -= 1
-            row0, row1 = min(row0, r), max(row1, r)
-            column0, column1 = min(column0, first), max(column1, last)
+            start = (channel * height + r) * width
+            found = 0
+            for c in range(0, width, WIDTH):
+                unequal = load_part(colour, start + c, width - c) != load_unit_part(
+                    target, start + c, width - c
+                )
+                differ[c // WIDTH] |= bits(unequal)
+                found |= bits(unequal)
+            if found:
+                row0, row1 = min(row0, r), max(row1, r)
+    column0, column1 = width, -1
+    for block in range(len(differ)):
+        for k in range(WIDTH):
+            if differ[block] >> k & 1:
+                column0, column1 = min(column0, WIDTH * block + k), WIDTH * block + k
     return row0, row1, column0, column1
 
 
-@numba.njit(inline="always")
-def _ssim_terms(mx, my, xx, yy, xy):
-    vx, vy, vxy = xx - mx * mx, yy - my * my, xy - mx * my
-    l_top, l_bottom = np.float32(2.0) * mx * my + _C1, mx * mx + my * my + _C1
-    s_top, s_bottom = np.float32(2.0) * vxy + _C2, vx + vy + _C2
-    inverse = np.float32(1.0) / (l_bottom * s_bottom)
-    structure = s_top * l_bottom * inverse
-    value = l_top * s_bottom * inverse * structure
-    # Partial derivatives of SSIM with respect to the windowed square and product of x; `over` is 1 / l_bottom.
-    return (
-        value,
-        structure,
-        -value * l_bottom * inverse,
-        np.float32(2.0) * l_top * inverse,
-        s_bottom * inverse,
-    )
+@numba.njit(cache=True, nogil=True)
+def photometric_view(colour, target, views, gradient, error):
+    """Return one view's share of the loss (already divided by `views`) and write its gradient and its error
+    image.
 
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _ssim_row(mean_x, mean_y, square_x, square_y, cross, by_mean, by_square, by_cross, count, scale):
-    # One row of windows: sum of 1 - SSIM, and dL/d(windowed mean, square, product of x). One output a loop: LLVM vectorises
-    # only loops whose arrays it can prove apart with few checks, and computing the terms three times is far cheaper than not.
-    total = np.float32(0.0)
-    for c in range(count):
-        mx, my = mean_x[c], mean_y[c]
-        value, structure, d_square, d_cross, over = _ssim_terms(mx, my, square_x[c], square_y[c], cross[c])
-        total += np.float32(1.0) - value
-        d_mean = np.float32(2.0) * (my * structure - mx * value) * over
-        by_mean[c] = scale * (d_mean - np.float32(2.0) * mx * d_square - my * d_cross)
-    for c in range(count):
-        value, structure, d_square, d_cross, over = _ssim_terms(
-            mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c]
-        )
-        by_square[c] = scale * d_square
-    for c in range(count):
-        value, structure, d_square, d_cross, over = _ssim_terms(
-            mean_x[c], mean_y[c], square_x[c], square_y[c], cross[c]
-        )
-        by_cross[c] = scale * d_cross
-    return total
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def photometric_view(colour, target, mean, square, views, gradient):
-    """Return one view's share of the loss (already divided by `views`) and write its gradient.
-
-    colour, target (3,H,W) float32; mean, square: see `target_moments`; gradient (3,H,W) float32 is overwritten with dL/dcolour.
+    colour (3,H,W) float32, target (3,H,W) float32 or uint8 (255 is 1), H and W at least 11; overwritten are
+    gradient (3,H,W) float32 with dL/dcolour and error (at least H·W,) float32 with the sum over channels of
+    |colour - target|.
     """
     height, width = colour.shape[1], colour.shape[2]
     gradient[:] = np.float32(0.0)
+    error[:] = np.float32(0.0)
     row0, row1, column0, column1 = _active_rectangle(colour, target)
     if row1 < 0:
         return 0.0
-    # Input rectangle whose windows can hold an unequal pixel, clipped to the image; windows start at (top, left).
+    # Input rectangle whose windows can hold an unequal pixel, clipped to the image; windows start at (top,
+    # left).
     top, left = max(0, row0 - 10), max(0, column0 - 10)
     rows, columns = min(height, row1 + 11) - top, min(width, column1 + 11) - left
     out_rows, out_columns = rows - 10, columns - 10
-    l1_scale = np.float32(L1_WEIGHT / (3.0 * height * width * views))
+    blocks = (columns + WIDTH - 1) // WIDTH
+    l1_scale = L1_WEIGHT / (3.0 * height * width * views)
     windows = 3.0 * (height - 10) * (width - 10) * views
     ssim_scale = np.float32(-0.5 * SSIM_WEIGHT / windows)
-    scratch = np.empty((rows + 20, columns + 20), np.float32)
-    product = np.empty((rows, columns), np.float32)
-    mean_x = np.empty((out_rows, out_columns), np.float32)
-    square_x = np.empty((out_rows, out_columns), np.float32)
-    cross = np.empty((out_rows, out_columns), np.float32)
-    padded = np.zeros((3, rows + 10, columns + 10), np.float32)
-    spread = np.empty((3, rows, columns), np.float32)
-    loss = 0.0
+    l1_step = np.float32(l1_scale)
+    x_ring = np.zeros((blocks, _SLOTS, WIDTH), np.float32)
+    y_ring = np.zeros((blocks, _SLOTS, WIDTH), np.float32)
+    d_rings = np.zeros((3, blocks, _SLOTS, WIDTH), np.float32)
+    lines = np.zeros((5, 2, WIDTH * (blocks + 1)), np.float32)
+    d_lines = np.zeros(
+        (3, 2, WIDTH * (blocks + 1)), np.float32
+    )  # a block of zeros stands before the first window
+    missing, distance = 0.0, 0.0
     for channel in range(3):
-        x = colour[channel, top : top + rows, left : left + columns]
-        y = target[channel, top : top + rows, left : left + columns]
-        out = gradient[channel, top : top + rows, left : left + columns]
-        _blur(x, mean_x, scratch, rows, columns)
-        for r in range(rows):
-            for c in range(columns):
-                product[r, c] = x[r, c] * x[r, c]
-        _blur(product, square_x, scratch, rows, columns)
-        for r in range(rows):
-            for c in range(columns):
-                product[r, c] = x[r, c] * y[r, c]
-        _blur(product, cross, scratch, rows, columns)
-        missing = 0.0
-        for r in range(out_rows):
-            a, b, xx, xy = mean_x[r], mean[channel, top + r, left : left + out_columns], square_x[r], cross[r]
-            yy = square[channel, top + r, left : left + out_columns]
-            missing += _ssim_row(
-                a,
-                b,
-                xx,
-                yy,
-                xy,
-                padded[0, r + 10, 10:],
-                padded[1, r + 10, 10:],
-                padded[2, r + 10, 10:],
-                out_columns,
-                ssim_scale,
-            )
-        loss += 0.5 * SSIM_WEIGHT * missing / windows
-        for k in range(3):
-            _blur(padded[k], spread[k], scratch, rows + 10, columns + 10)
-        absolute = 0.0
-        for r in range(rows):
-            s0, s1, s2, xr, yr, d = spread[0, r], spread[1, r], spread[2, r], x[r], y[r], out[r]
-            total = np.float32(0.0)
-            for c in range(columns):
-                difference = xr[c] - yr[c]
-                total += abs(difference)
-                sign = l1_scale if difference > 0 else (-l1_scale if difference < 0 else np.float32(0.0))
-                d[c] = s0[c] + np.float32(2.0) * xr[c] * s1[c] + yr[c] * s2[c] + sign
-            absolute += total
-        loss += L1_WEIGHT * absolute / (3.0 * height * width * views)
-    return loss
+        corner = (channel * height + top) * width + left
+        d_rings[:] = np.float32(0.0)
+        for o in range(-10, rows, 2):
+            # Two rows of pixels enter the ring.
+            for r in range(o + 10, min(o + 12, rows)):
+                for b in range(blocks):
+                    start, count = corner + r * width + b * WIDTH, columns - b * WIDTH
+                    at = (b * _SLOTS + r % _ROWS) * WIDTH
+                    _keep(x_ring, at, load_part(colour, start, count))
+                    _keep(y_ring, at, load_unit_part(target, start, count))
+            if o < 0:
+                continue
+            # The windows of rows o and o + 1: down the columns, along the rows, derivatives, back along the
+            # rows.
+            phase = o % _ROWS
+            if o < out_rows:
+                for b in range(blocks):
+                    at = (b * _SLOTS + phase) * WIDTH
+                    x, y, c = _rows(x_ring, at), _rows(y_ring, at), b * WIDTH
+                    _store_two(lines[0], c, _down(x))
+                    _store_two(lines[1], c, _down(y))
+                    _store_two(lines[2], c, _down(_product(x, x)))
+                    _store_two(lines[3], c, _down(_product(y, y)))
+                    _store_two(lines[4], c, _down(_product(x, y)))
+            for k in range(2):
+                if o + k < out_rows:
+                    row_missing = splat(0.0)
+                    for c in range(0, out_columns, WIDTH):
+                        value, by_mean, by_square, by_cross = _ssim_terms(
+                            _along(lines[0, k], c),
+                            _along(lines[1, k], c),
+                            _along(lines[2, k], c),
+                            _along(lines[3, k], c),
+                            _along(lines[4, k], c),
+                        )
+                        inside = first(out_columns - c)
+                        row_missing += select(inside, 1.0 - value, 0.0)
+                        store(d_lines[0, k], c + WIDTH, select(inside, ssim_scale * by_mean, 0.0))
+                        store(d_lines[1, k], c + WIDTH, select(inside, ssim_scale * by_square, 0.0))
+                        store(d_lines[2, k], c + WIDTH, select(inside, ssim_scale * by_cross, 0.0))
+                    missing += total(row_missing)
+                else:
+                    d_lines[:, k] = np.float32(0.0)
+                for q in range(3):
+                    for b in range(blocks):
+                        at = (b * _SLOTS + phase + k) * WIDTH
+                        _keep(d_rings[q], at, _along(d_lines[q, k], b * WIDTH + 6))
+            # Rows o and o + 1 of the gradient have met all their windows.
+            pair_distance = splat(0.0)
+            newest = (phase + 2) % _ROWS
+            for b in range(blocks):
+                at = (b * _SLOTS + newest) * WIDTH
+                by_mean = _down(_rows(d_rings[0], at))
+                by_square = _down(_rows(d_rings[1], at))
+                by_cross = _down(_rows(d_rings[2], at))
+                for k in range(min(2, rows - o)):
+                    pixel = (b * _SLOTS + phase + k) * WIDTH
+                    x, y = load(x_ring, pixel), load(y_ring, pixel)
+                    sign = select(x > y, l1_step, select(x < y, -l1_step, splat(0.0)))
+                    start, count = (o + k) * width + b * WIDTH, columns - b * WIDTH
+                    slope = fma(y, by_cross[k], fma(2.0 * x, by_square[k], by_mean[k] + sign))
+                    store_part(gradient, corner + start, slope, count)
+                    apart = absolute(x - y)
+                    pair_distance += apart
+                    start += top * width + left
+                    store_part(error, start, load_part(error, start, count) + apart, count)
+            distance += total(pair_distance)
+    return 0.5 * SSIM_WEIGHT * missing / windows + l1_scale * distance
 
 
-class Target(NamedTuple):
-    """The image that a view is compared with, and its windowed moments; see `make_target`."""
+def make_target(image: np.ndarray) -> np.ndarray:
+    """Return the target of an image (3,H,W) as the kernel takes it: contiguous, uint8 (255 is 1) or float32
+    in [0,1].
 
-    image: np.ndarray  # (3,H,W) float32 in [0,1]
-    mean: np.ndarray  # (3,H-10,W-10) float32: windowed mean of the image
-    square: np.ndarray  # (3,H-10,W-10) float32: windowed mean of its square
-
-
-def make_target(image: np.ndarray) -> Target:
-    """Return the target of an image (3,H,W) float32 in [0,1]. Raises InputError below 11×11 pixels."""
+    Raises InputError below 11×11 pixels.
+    """
     _, height, width = image.shape
     if min(height, width) < TAPS:
         raise InputError(
             f"an image needs at least {TAPS} × {TAPS} pixels, got {height} × {width}; render it larger"
         )
-    shape = (3, height - TAPS + 1, width - TAPS + 1)
-    target = Target(
-        np.ascontiguousarray(image, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
-    )
-    target_moments(*target)
-    return target
+    return np.ascontiguousarray(image, np.uint8 if image.dtype == np.uint8 else np.float32)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from paper_artifact.raster.arrays import SoupArrays
-from paper_artifact.raster.photometric import Target
 from paper_artifact.raster.threads import run_jobs
 from paper_artifact.raster.view import ViewCamera, ViewRaster
 
@@ -27,7 +26,11 @@ class PhotometricStep:
         self._gradients: list[np.ndarray] = []
 
     def __call__(
-        self, soup: SoupArrays, cameras: Sequence[ViewCamera], targets: Sequence[Target], keys: Sequence[int]
+        self,
+        soup: SoupArrays,
+        cameras: Sequence[ViewCamera],
+        targets: Sequence[np.ndarray],
+        keys: Sequence[int],
     ) -> tuple[float, SoupArrays]:
         """Return the loss of the batch and its gradients, summed over the views in their order.
 
@@ -46,9 +49,9 @@ class PhotometricStep:
                 view = ViewRaster(*self._size)
             view.render(soup, camera, self._background, keys[index])
             loss = view.compare(target, count)
-            view.add_opacity_gradient(target.image, count, out.opacity)
+            view.add_opacity_gradient(count, out.opacity)
             view.add_edge_gradient(camera.matrix, out.vertices)
-            view.add_shading_gradient(soup.mlp, out.features, out.mlp)
+            view.add_shading_gradient(soup, camera.rays, out.features, out.mlp)
             self._idle.put(view)
             return loss
 

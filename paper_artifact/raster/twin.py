@@ -28,11 +28,9 @@ __all__ = [
     "view_directions",
 ]
 
-_WINDOW, _SIGMA = 11, 1.5  # SSIM's Gaussian window: taps and standard deviation, pixels
-_C1, _C2 = 0.01**2, 0.03**2  # SSIM's stabilisers at data range 1
 _FLOOR = 1e-5  # of a chance that the opacity gradient divides by
 
-MLP = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+MLP = tuple[torch.Tensor, ...]  # w1, c1, w2, c2, w3, c3: see `shade`
 
 
 def view_directions(world_to_clip: torch.Tensor, height: int, width: int) -> torch.Tensor:
@@ -291,8 +289,8 @@ def _vertex_gradient(
 def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the scalar .8·mean|target - colour| + .2·½(1 - SSIM) of images (B,3,H,W) in [0, 1].
 
-    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when the
-    shapes differ or a side of the images is shorter than SSIM's window.
+    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when
+    the shapes differ or a side of the images is shorter than SSIM's window.
     """
     if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < WINDOW:
         raise InputError(

@@ -1,7 +1,8 @@
 """One view of a soup on the CPU, from corners to gradients: the only place that calls the numba kernels.
 
-Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`, `edges`);
-`step.PhotometricStep` runs them in order for a batch, and the tests hold each to the twin in plain torch (`twin`).
+Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`,
+`opacity`, `edges`); `step.PhotometricStep` runs them in order for a batch, and the tests hold each to the
+twin in plain torch (`twin`).
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from paper_artifact.raster import edges, photometric, shading, visibility
+from paper_artifact.raster import edges, opacity, photometric, shading, visibility
 from paper_artifact.raster.arrays import SoupArrays
-from paper_artifact.raster.photometric import Target
-from paper_artifact.raster.visibility import Fragments, Planes, Surface
+from paper_artifact.raster.lanes import WIDTH
+from paper_artifact.raster.visibility import Planes, Shown, Surface
 
 
 class ViewCamera(NamedTuple):
@@ -28,7 +29,8 @@ class ViewCamera(NamedTuple):
 def make_camera(world_to_clip: np.ndarray) -> ViewCamera:
     """Return the camera of a matrix world_to_clip (4,4).
 
-    The rays follow from its rows x, y, w: at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x, ndc_y, 1).
+    The rays follow from its rows x, y, w: at unit step of w the ray moves by inverse(M[[0,1,3],:3])·(ndc_x,
+    ndc_y, 1).
     """
     matrix = np.ascontiguousarray(world_to_clip, np.float32)
     inverse = -np.linalg.inv(matrix[[0, 1, 3], :3].astype(np.float64))
@@ -50,8 +52,8 @@ def to_clip(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 class ViewRaster:
     """One view and its buffers, to be used again and again.
 
-    A training step calls `render`, `compare`, and then the three `add_…_gradient`; `draw` alone is enough to know
-    what is visible. What a method leaves in the arrays is valid until it is called again.
+    A training step calls `render`, `compare`, and then the three `add_…_gradient`; `draw` alone is enough to
+    know what is visible. What a method leaves in the arrays is valid until it is called again.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -59,43 +61,32 @@ class ViewRaster:
         size = height * width
         self.height, self.width = height, width
         self.planes = Planes.room(0)
-        self.fragments = Fragments.room(3 * size)
-        self.count = 0  # of fragments
         self.surface = Surface.room(size)
-        self.pixels = self.surface.pixels[:0]  # the covered ones
+        self.shown = Shown.room(size)
+        self._met = 0  # triangles with fragments
+        self._opacity = np.empty((0, 3), np.float32)  # as drawn
+        self.covered = 0  # pixels where something is visible
         # Memory that is never written costs nothing: whoever only draws pays for no more.
         self.colour = np.empty((3, height, width), np.float32)
         self.gradient = np.empty((3, height, width), np.float32)  # dL/dcolour
-        self._activations = np.empty((-(-size // shading.BLOCK), shading.ROWS, shading.BLOCK), np.float32)
+        self.error = np.empty(size + WIDTH, np.float32)  # (H·W + 16,): sum over channels of |colour - target|
 
-    def draw(self, clip: np.ndarray, opacity: np.ndarray, key: int | None) -> ViewRaster:
+    def draw(self, clip: np.ndarray, opacities: np.ndarray, key: int | None) -> ViewRaster:
         """Find what is visible; return self.
 
-        clip (T,3,4) float32 clip-space corners, opacity (T,3) float32 in [0,1]; key: `draws.view_key` for stochastic
-        masking, None for the threshold .5. Fills planes, fragments, surface and pixels.
+        clip (T,3,4) float32 clip-space corners, opacities (T,3) float32 in [0,1]; key: `draws.view_key` for
+        stochastic masking, None for the threshold .5. Fills planes, surface, shown and covered.
         """
         triangles = len(clip)
         if len(self.planes.order) < triangles:
             self.planes = Planes.room(triangles + triangles // 4)
+        self._opacity = opacities
         kept = visibility.set_up_triangles(clip, self.height, self.width, self.planes)
-        while True:
-            self.surface.depth.fill(np.inf)
-            self.surface.visible.fill(-1)
-            self.count = visibility.raster_fragments(
-                self.planes,
-                kept,
-                opacity,
-                self.width,
-                np.uint32(key or 0),
-                key is not None,
-                self.surface,
-                self.fragments,
-            )
-            if self.count <= len(self.fragments.index):
-                break
-            self.fragments = Fragments.room(self.count + self.count // 4)
-        covered = visibility.resolve_visibility(self.surface, self.fragments)
-        self.pixels = self.surface.pixels[:covered]
+        stochastic = key is not None
+        self._met = visibility.draw(
+            self.planes, kept, opacities, self.width, np.uint32(key or 0), stochastic, self.surface
+        )
+        self.covered = visibility.list_visible(self.planes, self._met, self.width, self.surface, self.shown)
         return self
 
     def shade(
@@ -106,16 +97,7 @@ class ViewRaster:
         features, mlp: see `SoupArrays`; rays: see `ViewCamera`.
         """
         self.colour[:] = np.asarray(background, np.float32)[:, None, None]
-        shading.shade_forward(
-            self.pixels,
-            self.surface.visible,
-            self.fragments,
-            rays,
-            features,
-            mlp,
-            self._activations,
-            self.colour,
-        )
+        shading.shade_forward(self.shown, self.covered, rays, features, mlp, self.colour)
         return self.colour
 
     def render(
@@ -125,42 +107,44 @@ class ViewRaster:
         self.draw(to_clip(soup.vertices, camera.matrix), soup.opacity, key)
         return self.shade(soup.features, soup.mlp, camera.rays, background)
 
-    def compare(self, target: Target, views: int) -> float:
-        """Return the view's share of the loss of a batch of `views` views; fills gradient with its dL/dcolour.
+    def compare(self, target: np.ndarray, views: int) -> float:
+        """Return the view's share of the loss of a batch of `views` views; fills gradient with its
+        dL/dcolour, and error.
 
-        The loss is .8·mean|target - colour| + .2·½(1 - SSIM), see `photometric`.
+        The loss is .8·mean|target - colour| + .2·½(1 - SSIM), see `photometric`; target: see
+        `photometric.make_target`.
         """
-        return photometric.photometric_view(self.colour, *target, views, self.gradient)
+        return photometric.photometric_view(self.colour, target, views, self.gradient, self.error)
 
-    def add_opacity_gradient(self, image: np.ndarray, views: int, out: np.ndarray) -> None:
-        """Add DiffSoup's masking gradient to out (T,3) float32; image (3,H,W) is the target's."""
+    def add_opacity_gradient(self, views: int, out: np.ndarray) -> None:
+        """Add DiffSoup's masking gradient of `error` to out (T,3) float32, for a batch of `views` views."""
         weight = np.float32(1.0 / (views * self.colour.size))
-        edges.opacity_backward(self.count, self.fragments, self.surface, self.colour, image, weight, out)
+        opacity.opacity_backward(
+            self.planes, self._met, self._opacity, self.width, self.surface, self.error, weight, out
+        )
 
     def add_edge_gradient(self, matrix: np.ndarray, out: np.ndarray) -> None:
         """Add the edge gradient of `gradient` to out (T,3,3) float32, world; matrix: see `ViewCamera`."""
-        moments = np.zeros((len(out), 12), np.float64)
-        edges.edge_moments(self.surface, self.planes, self.colour, self.gradient, moments)
-        edges.moments_to_vertices(moments, self.planes, matrix, out)
+        edges.edge_backward(self.surface, self.planes, self.colour, self.gradient, matrix, out)
 
     def add_shading_gradient(
-        self, mlp: tuple[np.ndarray, ...], features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
+        self, soup: SoupArrays, rays: np.ndarray, features_out: np.ndarray, mlp_out: tuple[np.ndarray, ...]
     ) -> None:
-        """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; mlp as shaded."""
+        """Add `gradient` times dcolour/d(features, MLP) to features_out (T,3,7) and mlp_out, float32; soup,
+        rays as shaded."""
         shading.shade_backward(
-            self.pixels,
-            self.surface.visible,
-            self.fragments,
-            mlp,
-            self._activations,
-            self.gradient,
-            features_out,
-            mlp_out,
+            self.shown, self.covered, rays, soup.features, soup.mlp, self.gradient, features_out, mlp_out
         )
+
+    def seen(self) -> np.ndarray:
+        """Return which triangle is visible at each pixel, (H,W) int32: its index + 1, 0 where there is
+        none."""
+        size = self.height * self.width
+        return self.surface.triangle[:size].reshape(self.height, self.width) + 1
 
     def visible_pixels(self, triangles: int) -> np.ndarray:
         """Return in how many pixels each of the drawn `triangles` is visible, (T,) int64."""
-        return np.bincount(self.surface.triangle[self.pixels], minlength=triangles)
+        return np.bincount(self.shown.triangle[: self.covered], minlength=triangles)
 
 
 def rasterize_opaque(
@@ -168,14 +152,16 @@ def rasterize_opaque(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the nearest surface of an opaque mesh: (triangle, b0, b1, depth), each (height, width).
 
-    clip (V,4) float32 clip-space vertices, faces (T,3) integer. triangle int32 is 0 where nothing is hit, else
-    index + 1; b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is hit); depth
-    float32 is NDC z (+inf where nothing is hit).
+    clip (V,4) float32 clip-space vertices, faces (T,3) integer. triangle int32 is 0 where nothing is hit,
+    else index + 1; b0, b1 float32 are perspective-correct barycentrics of corners 0 and 1 (0 where nothing is
+    hit); depth float32 is NDC z (+inf where nothing is hit).
     """
     corners = np.ascontiguousarray(clip[faces], np.float32)
     view = ViewRaster(height, width).draw(corners, np.ones((len(faces), 3), np.float32), None)
     barycentrics = np.zeros((2, height * width), np.float32)
-    barycentrics[:, view.pixels] = view.fragments.value[view.surface.visible[view.pixels], :2].T
-    images = (view.surface.triangle + 1, *barycentrics, view.surface.depth)
-    triangle, b0, b1, depth = (image.reshape(height, width) for image in images)
-    return triangle, b0, b1, depth
+    pixel, _, *values = (each[: view.covered] for each in view.shown)
+    barycentrics[:, pixel] = values
+    b0, b1, depth = (
+        image[: height * width].reshape(height, width) for image in (*barycentrics, view.surface.depth)
+    )
+    return view.seen(), b0, b1, depth

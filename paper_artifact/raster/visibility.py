@@ -1,14 +1,22 @@
-"""Forward raster on the CPU: triangle set-up, fragments, stochastic opacity masking, depth test.
+"""Forward raster on the CPU: triangle set-up, stochastic opacity masking, depth test, the list of what is
+visible.
 
 Frames. Clip space: (x, y, z, w) with w > 0 in front of the camera. NDC: xyz / w in [-1, 1], x right, y down.
-Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height - 1).
+Pixels: the centre of (row r, column c) has pixel coordinates (c, r) and NDC ((2c+1)/width - 1, (2r+1)/height
+- 1).
 
-Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of its
-bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth. Perspective-correct
-barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano & Greer, "Triangle scan conversion using 2D
-homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo et al. 2026).
+Per triangle the set-up stores twelve affine coefficients in pixel coordinates relative to the first pixel of
+its bounding box: three mu_i = lambda_i / w_i (lambda: screen-space barycentrics), and the NDC depth.
+Perspective-correct barycentrics are b_i = mu_i / (mu_0 + mu_1 + mu_2), and 1/w is that sum. Source: Olano &
+Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997); fragment semantics: DiffSoup (Tojo
+et al. 2026).
 
-Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of threads.
+A triangle's pixels are visited along the rows of its bounding box, sixteen at a time. Fragments are not kept:
+whoever needs them (the list of the visible ones, the opacity gradient) visits the triangles again, which
+costs less than writing them down.
+
+Kernels are one view each, release the GIL, and share no state: the caller may run views on any number of
+threads.
 """
 
 from __future__ import annotations
@@ -18,7 +26,22 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from paper_artifact.raster.draws import draw
+from paper_artifact.raster.draws import draw_lanes
+from paper_artifact.raster.lanes import (
+    WIDTH,
+    bits,
+    compress,
+    first,
+    inlined,
+    iota,
+    load,
+    popcount,
+    select,
+    splat,
+    splat_int,
+    store,
+    to_float,
+)
 
 _BUCKETS = 512
 
@@ -30,7 +53,9 @@ class Planes(NamedTuple):
     rectangles: (
         np.ndarray
     )  # (T,4) int32 pixels: first row, last row, first column, last column; first row -1: skipped
-    order: np.ndarray  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth)
+    order: (
+        np.ndarray
+    )  # (T,) int32: the kept triangles, nearest first (bucketed by their nearest NDC depth); see `draw`
 
     @staticmethod
     def room(triangles: int) -> Planes:
@@ -42,35 +67,45 @@ class Planes(NamedTuple):
         )
 
 
-class Fragments(NamedTuple):
-    """The fragments not behind the survivors that were drawn before them, in the order of drawing."""
-
-    index: np.ndarray  # (capacity,2) int32: pixel, triangle
-    value: np.ndarray  # (capacity,4) float32: barycentrics b0 and b1, NDC depth, alpha
-
-    @staticmethod
-    def room(capacity: int) -> Fragments:
-        """Return uninitialised arrays for `capacity` fragments."""
-        return Fragments(np.empty((capacity, 2), np.int32), np.empty((capacity, 4), np.float32))
-
-
 class Surface(NamedTuple):
-    """What is visible at each pixel (row-major index)."""
+    """What is visible at each pixel (row-major index); arrays are one vector longer than the image."""
 
-    depth: np.ndarray  # (H·W,) float32 NDC, +inf where nothing is visible
-    visible: np.ndarray  # (H·W,) int32: number of the visible fragment, -1 where there is none
-    triangle: np.ndarray  # (H·W,) int32: its triangle, -1 where there is none
-    pixels: np.ndarray  # (H·W,) int32: the covered pixels in ascending order, then rubbish
+    depth: np.ndarray  # (H·W + 16,) float32 NDC, +inf where nothing is visible
+    triangle: np.ndarray  # (H·W + 16,) int32: the visible triangle, -1 where there is none
 
     @staticmethod
     def room(size: int) -> Surface:
         """Return uninitialised arrays for `size` pixels."""
-        return Surface(np.empty(size, np.float32), *(np.empty(size, np.int32) for _ in range(3)))
+        return Surface(np.empty(size + WIDTH, np.float32), np.empty(size + WIDTH, np.int32))
+
+
+class Shown(NamedTuple):
+    """The visible fragments in the order of drawing: a triangle's stand together, its pixels ascend.
+
+    Arrays are longer than the list; the sixteen places after it hold zeros.
+    """
+
+    pixel: np.ndarray  # int32
+    triangle: np.ndarray  # int32
+    b0: np.ndarray  # float32 barycentrics of corners 0 and 1
+    b1: np.ndarray
+
+    @staticmethod
+    def room(size: int) -> Shown:
+        """Return uninitialised arrays for `size` pixels."""
+        room = size + 2 * WIDTH
+        return Shown(
+            np.empty(room, np.int32),
+            np.empty(room, np.int32),
+            np.empty(room, np.float32),
+            np.empty(room, np.float32),
+        )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def set_up_triangles(clip, height, width, planes):
-    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a pixel.
+    """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a
+    pixel.
 
     A triangle is skipped unless all w > 0, when it lies outside one clip plane, or when it has no area in the
     image.
@@ -144,90 +179,105 @@ def set_up_triangles(clip, height, width, planes):
     return kept
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def raster_fragments(planes, kept, opacity, width, key, stochastic, surface, fragments):
-    """Draw the first `kept` triangles of planes.order front to back; return how many fragments there were.
+@inlined
+def line(coefficients, t, y):
+    """Return the eight numbers of triangle t on the row y below its first one: mu_0, mu_1, mu_2, depth at
+    column 0, and per column."""
+    a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
+    a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
+    a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
+    az, bz, cz = coefficients[t, 9], coefficients[t, 10], coefficients[t, 11]
+    return a0 + c0 * y, a1 + c1 * y, a2 + c2 * y, az + cz * y, b0, b1, b2, bz
 
-    More than fragments hold: call again with larger arrays. opacity (T,3) float32 in [0,1]; width in pixels.
-    surface.depth must come in as +inf and surface.visible as -1; they go out as the nearest survivor's.
-    A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when stochastic, else .5.
+
+@inlined
+def along(of_line, x):
+    """Return mu_0, mu_1, mu_2 and depth of a `line` at columns x (float32 lanes, from the triangle's first
+    column on)."""
+    e0, e1, e2, ez, b0, b1, b2, bz = of_line
+    return e0 + b0 * x, e1 + b1 * x, e2 + b2 * x, ez + bz * x
+
+
+@inlined
+def inside(values):
+    """Return the mask of values (see `along`) inside the triangle and the depth range."""
+    m0, m1, m2, z = values
+    return (m0 >= 0.0) & (m1 >= 0.0) & (m2 >= 0.0) & (z >= -1.0) & (z <= 1.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def draw(planes, kept, opacity, width, key, stochastic, surface):
+    """Draw the first `kept` triangles of planes.order front to back into surface; return how many of them met
+    no nearer survivor.
+
+    Those come first in planes.order afterwards, in the same order. opacity (T,3) float32 in [0,1]; width in
+    pixels. A fragment survives iff alpha >= u, with u the hash draw of (key, pixel, triangle) when
+    stochastic, else .5; the nearest survivor is visible.
     """
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
-    depth, visible = surface.depth, surface.visible
-    fragment_index, fragment_value = fragments.index, fragments.value
-    capacity = fragment_index.shape[0]
-    number = 0
+    depth, triangle = surface.depth, surface.triangle
+    depth[:] = np.float32(np.inf)
+    triangle[:] = -1
+    met = 0
     for k in range(kept):
         t = order[k]
-        row0, row1, column0, column1 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2], rectangles[t, 3]
-        a0, b0, c0 = coefficients[t, 0], coefficients[t, 1], coefficients[t, 2]
-        a1, b1, c1 = coefficients[t, 3], coefficients[t, 4], coefficients[t, 5]
-        a2, b2, c2 = coefficients[t, 6], coefficients[t, 7], coefficients[t, 8]
-        az, bz, cz = coefficients[t, 9], coefficients[t, 10], coefficients[t, 11]
+        row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
+        columns = rectangles[t, 3] - column0 + 1
         o0, o1, o2 = opacity[t, 0], opacity[t, 1], opacity[t, 2]
-        span = column1 - column0
+        meets = False
         for row in range(row0, row1 + 1):
-            y = np.float32(row - row0)
-            e0, e1, e2, ez = a0 + c0 * y, a1 + c1 * y, a2 + c2 * y, az + cz * y
-            # Columns where all three edge functions can be >= 0; one pixel of slack, the test below decides.
-            first, last = np.float32(0.0), np.float32(span)
-            if b0 > 0:
-                first = max(first, -e0 / b0)
-            elif b0 < 0:
-                last = min(last, -e0 / b0)
-            elif e0 < 0:
-                continue
-            if b1 > 0:
-                first = max(first, -e1 / b1)
-            elif b1 < 0:
-                last = min(last, -e1 / b1)
-            elif e1 < 0:
-                continue
-            if b2 > 0:
-                first = max(first, -e2 / b2)
-            elif b2 < 0:
-                last = min(last, -e2 / b2)
-            elif e2 < 0:
-                continue
-            if not last >= first - np.float32(1.0):
-                continue
-            for column in range(max(0, int(first)), min(span, int(last) + 1) + 1):
-                x = np.float32(column)
-                m0, m1, m2 = e0 + b0 * x, e1 + b1 * x, e2 + b2 * x
-                if m0 < 0 or m1 < 0 or m2 < 0:
-                    continue
-                z = ez + bz * x
+            of_line = line(coefficients, t, np.float32(row - row0))
+            for column in range(0, columns, WIDTH):
+                m0, m1, m2, z = values = along(of_line, to_float(iota() + column))
                 pixel = row * width + column0 + column
-                if not (z < depth[pixel] and z >= -1 and z <= 1):
+                nearest = load(depth, pixel)
+                in_front = inside(values) & first(columns - column) & (z < nearest)
+                if bits(in_front) == 0:
                     continue
-                inverse = np.float32(1.0) / (m0 + m1 + m2)
+                meets = True
+                inverse = 1.0 / (m0 + m1 + m2)
                 w0, w1 = m0 * inverse, m1 * inverse
-                alpha = w0 * o0 + w1 * o1 + (np.float32(1.0) - w0 - w1) * o2
-                if number < capacity:
-                    fragment_index[number, 0], fragment_index[number, 1] = pixel, t
-                    fragment_value[number, 0], fragment_value[number, 1] = w0, w1
-                    fragment_value[number, 2], fragment_value[number, 3] = z, alpha
-                threshold = np.float32(0.5)
+                alpha = w0 * o0 + w1 * o1 + (1.0 - w0 - w1) * o2
+                threshold = splat(0.5)
                 if stochastic:
-                    threshold = draw(key, np.uint32(pixel), np.uint32(t))
-                if alpha >= threshold:
-                    depth[pixel] = z
-                    visible[pixel] = number
-                number += 1
-    return number
+                    threshold = draw_lanes(key, iota() + pixel, t)
+                survives = in_front & (alpha >= threshold)
+                store(depth, pixel, select(survives, z, nearest))
+                store(triangle, pixel, select(survives, t, load(triangle, pixel)))
+        if meets:
+            order[met] = t
+            met += 1
+    return met
 
 
-@numba.njit(cache=True, nogil=True)
-def resolve_visibility(surface, fragments):
-    """Write surface.triangle and the covered pixels to surface.pixels; return their number."""
-    visible, triangle, pixels = surface.visible, surface.triangle, surface.pixels
-    fragment_index = fragments.index
-    covered = 0
-    for pixel in range(visible.shape[0]):
-        fragment = visible[pixel]
-        triangle[pixel] = -1
-        if fragment >= 0:
-            triangle[pixel] = fragment_index[fragment, 1]
-            pixels[covered] = pixel
-            covered += 1
-    return covered
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def list_visible(planes, met, width, surface, shown):
+    """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned;
+    width in pixels."""
+    order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
+    triangle = surface.triangle
+    shown_pixel, shown_triangle, shown_b0, shown_b1 = shown
+    count = 0
+    for k in range(met):
+        t = order[k]
+        row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
+        columns = rectangles[t, 3] - column0 + 1
+        for row in range(row0, row1 + 1):
+            for column in range(0, columns, WIDTH):
+                pixel = row * width + column0 + column
+                mine = (load(triangle, pixel) == t) & first(columns - column)
+                if bits(mine) == 0:
+                    continue
+                of_line = line(coefficients, t, np.float32(row - row0))
+                m0, m1, m2, _ = along(of_line, to_float(iota() + column))
+                inverse = 1.0 / (m0 + m1 + m2)
+                store(shown_pixel, count, compress(iota() + pixel, mine))
+                store(shown_triangle, count, splat_int(t))
+                store(shown_b0, count, compress(m0 * inverse, mine))
+                store(shown_b1, count, compress(m1 * inverse, mine))
+                count += popcount(bits(mine))
+    store(shown_pixel, count, splat_int(0))
+    store(shown_triangle, count, splat_int(0))
+    store(shown_b0, count, splat(0.0))
+    store(shown_b1, count, splat(0.0))
+    return count

@@ -24,8 +24,8 @@ from paper_artifact.scene.find import find_mesh
 from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup, load_soup
 
-# What a short run of 300 steps reaches with a wide margin. Only "above or below" is compared between machines:
-# compiled kernels may differ in the last bit from one kind of CPU to another, and training amplifies that.
+# What a short run of 300 steps reaches with a wide margin. Only "above or below" is compared between
+# machines: compiled kernels may differ in the last bit between kinds of CPU, and training amplifies that.
 FALL, PSNR, SSIM, CHAMFER = 0.5, 20.0, 0.75, 1.5  # loss, last / first tenth; dB; no unit; percent of D
 
 
@@ -63,7 +63,7 @@ def reconstruct(
             scene = prepare_scene(config, mesh, results / "scenes")
             soup = load_soup(soup_path(record, results))
             renders = render_views(soup, scene, scene.holdout)
-        made.append(Reconstruction(shape, record, soup, scene.images[scene.holdout], renders))
+        made.append(Reconstruction(shape, record, soup, scene.colours(scene.holdout), renders))
     return tuple(made)
 
 

@@ -1,5 +1,4 @@
-"""Notebook 07: what the persistence step costs (App. H, "Cost scaling"): time against M beside gudhi and the
-paper, its share of a run, memory.
+"""Notebook 07: what the persistence step costs (App. H): time against M, its share of a run, memory.
 
 Times are CPU milliseconds of one process; each ratio is of two times taken in turns within that process. A
 stored table names the machine.

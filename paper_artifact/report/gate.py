@@ -1,6 +1,4 @@
-"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of the clouds of `study.repair`,
-beside the paper.
-"""
+"""Notebook 05: the repair gate (App. C, Fig. S5): what the loss alone makes of defective clouds."""
 
 from __future__ import annotations
 
@@ -92,7 +90,7 @@ def gate_figure(runs: Runs) -> Figure:
     """Return one row per probe: start, end, and the bottleneck to the target over the steps (log, cut at
     1e-12; zero is drawn below the rest)."""
     figure, axes = new_figure(len(runs), 3, 3.0, 2.3)
-    for (name, (probe, run)), line in zip(runs.items(), axes, strict=True):
+    for (name, (_, run)), line in zip(runs.items(), axes, strict=True):
         low = np.minimum(run.start.min(axis=0), run.final.min(axis=0)) - 0.1
         high = np.maximum(run.start.max(axis=0), run.final.max(axis=0)) + 0.1
         view = PROBES[name][1]

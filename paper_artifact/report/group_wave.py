@@ -1,5 +1,4 @@
-"""Notebook 10: the group wave (App. G, Tables S11 and S12): staircases, quoted margins, pins and the
-candidates.
+"""Notebook 10: the group wave (App. G, Tables S11, S12): staircases, quoted margins, pins, candidates.
 
 Units as in `report.kit.staircase`.
 """

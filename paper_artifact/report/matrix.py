@@ -76,8 +76,8 @@ def seed_figure(collected: Collected, shapes: Sequence[str] = ()) -> Figure:
             if (shape, arm.condition) in paper.index:
                 printed = paper[shape, arm.condition]
                 axis.scatter(place, printed, color="black", marker="x", s=26, linewidths=1, zorder=4)
+        axis.set_xticks(range(len(own)), own["condition"])
         label_axis(axis, f"{shape}: tail bottleneck per seed (× the paper's mean)")
-        axis.set_xticks(range(len(own)), own["condition"], fontsize=8)
     return figure
 
 

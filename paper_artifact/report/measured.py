@@ -1,5 +1,6 @@
-"""Notebooks 03, 07 and 10: measurements that take too long for a notebook, made once by `python -m
-paper_artifact measure NAME` and kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 07, 10: measurements that take too long for a notebook, kept in `results/measured/NAME.csv`.
+
+`python -m paper_artifact measure NAME` makes one.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them: the stored measurement
-and its table.
+"""Notebook 07: our differentiable alpha diagrams beside the libraries that offer them.
 
 Measured by `bench.peers` in a side environment (README, "Beside other libraries"); the table reads the file
 and needs no peer.

@@ -1,5 +1,4 @@
-"""Notebook 11: the procedural hot pot in the role of the paper's pot, which is not public, and the Utah
-teapot (Tables S4, S5, Fig. S7).
+"""Notebook 11: the procedural hot pot for the paper's pot, and the teapot (Tables S4, S5, Fig. S7).
 
 Units as in `report.kit.staircase`.
 """
@@ -34,7 +33,6 @@ from paper_artifact.report.kit.staircase import (
     published_counts,
     signature_table,
     signatures,
-    staircase,
 )
 from paper_artifact.report.kit.text import counts_text, span
 from paper_artifact.study.studies import study_configs
@@ -47,12 +45,6 @@ def collect_pot(profile: str = "recorded", **folders) -> Collected:
     """Return the records of the study's runs of the pot (see `kit.records.collect`)."""
     runs = study_configs("table2", shapes=["pot"])
     return collect([(each.shape, each.condition, each.seed) for each in runs], profile, **folders)
-
-
-def staircases(mesh: Mesh, seeds: Iterable[int] = SEEDS) -> pd.DataFrame:
-    """Return the shell's staircase at Table S5's densities (see `staircase.staircase`); five seeds take about
-    6 s of CPU."""
-    return staircase(mesh, DENSITIES, tuple(seeds))
 
 
 def bar_values(table: pd.DataFrame, samples: int, bar: str) -> pd.DataFrame:

@@ -1,6 +1,4 @@
-"""Notebook 02: the blindness probes (Table S1): what Chamfer, Hausdorff and bottleneck say of a right and a
-wrong candidate.
-"""
+"""Notebook 02: the blindness probes (Table S1): what the metrics say of a right and of a wrong candidate."""
 
 from __future__ import annotations
 

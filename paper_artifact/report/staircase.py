@@ -1,5 +1,4 @@
-"""Notebook 03: which bars of a clean surface clear the measurement floor 6·r_med(M) at which density (Table
-S3, Fig. S10).
+"""Notebook 03: which bars of clean surfaces clear the floor 6·r_med(M), by density (Table S3, Fig. S10).
 
 Notebook 01 follows spot's second void by `second_void_table`. Units as in `report.kit.staircase`.
 """
@@ -35,7 +34,7 @@ Followed = Mapping[str, Sequence[str]]  # shape: names of its bars, ("loop 1", "
 
 def measure_analytic_shapes(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
     """Return the staircases of all analytic shapes, M = 512 … 20,000, five seeds: about a minute of CPU."""
-    return staircases(SHAPES, (512, 1024, *DENSITIES), SEEDS, progress)
+    return staircases(tuple(SHAPES), (512, 1024, *DENSITIES), SEEDS, progress)
 
 
 def table_s3(table: pd.DataFrame) -> pd.DataFrame:

@@ -1,5 +1,4 @@
-"""Notebook 04: for which multipliers k of the floor k·r_med every bundle decision of the study stays as it is
-(Table S13).
+"""Notebook 04: for which multipliers k of the floor k·r_med no bundle decision changes (Table S13).
 
 A shape's features are the classes that its surface has (or, for the bowls, that its samples show). At the
 study's density and bundle seed each is IN (a bar above the floor in a dimension the loss acts on) or OUT. An

@@ -7,9 +7,9 @@ colour and reprojection error); 2-D observations and tracks are read past, and w
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Iterable
 
 import numpy as np
 

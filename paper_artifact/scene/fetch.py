@@ -99,7 +99,7 @@ def _bring(entry: Source, target: Path, mirror: Path | str | None, quiet: bool, 
         return _download(entry, target, quiet, base_url)
     file = folder / entry.relative_path
     try:
-        handle = open(file, "rb")
+        handle = open(file, "rb")  # noqa: SIM115 — only the opening may fail here, `with` below closes it
     except OSError as error:
         raise InputError(
             f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from paper_artifact.catalogue import shape_row
@@ -41,7 +41,7 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def surface(shape: str) -> Mesh:
     """Return the mesh of a name as `find_mesh` does, read once per process."""
     return find_mesh(shape)

@@ -28,7 +28,7 @@ class Scene:
 
     path: Path  # its folder
     names: tuple[str, ...]  # of the images' files
-    images: np.ndarray  # (n,H,W,3) float32 in [0,1], row 0 on top
+    images: np.ndarray  # (n,3,H,W) uint8, row 0 on top; `colours` gives them in [0,1]
     world_to_clip: np.ndarray  # (n,4,4) float32, see `cameras.world_to_clip`
     camera_centres: np.ndarray  # (n,3) float32, world units
     background: np.ndarray  # (3,) float32 RGB in [0,1]
@@ -36,6 +36,10 @@ class Scene:
     train: np.ndarray  # (k,) int64, indices of the views to train on
     holdout: np.ndarray  # (m,) int64, indices of the views held out
     radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
+
+    def colours(self, views: np.ndarray | int) -> np.ndarray:
+        """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
+        return np.moveaxis(self.images[views], -3, -1) / np.float32(255)
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -70,7 +74,7 @@ def load_scene(path: Path | str) -> Scene:
         _read_image(path / "images" / name, camera.width / camera.height, background)
         for name, camera in zip(names, cameras, strict=True)
     ]
-    sizes = sorted({image.shape[:2] for image in images})
+    sizes = sorted({image.shape[1:] for image in images})
     if len(sizes) > 1:
         (h0, w0), (h1, w1) = sizes[:2]
         raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
@@ -122,7 +126,7 @@ def _description(path: Path) -> dict:
         background = np.array(description["background"], dtype=np.float64)
         sound = (
             background.shape == (3,)
-            and 0 <= background.min()
+            and background.min() >= 0
             and background.max() <= 1
             and description["radius"] > 0
         )
@@ -150,14 +154,18 @@ def _cloud_radius(positions: np.ndarray) -> float:
 
 
 def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """Return an image (H,W,3) float32 in [0,1]; aspect: the camera's width / height, which it must have."""
+    """Return an image (3,H,W) uint8, over the background where it is transparent.
+
+    aspect: the camera's width / height, which it must have; resized copies are welcome.
+    """
     try:
         with Image.open(file) as opened:
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
                 pixels = np.asarray(opened.convert("RGBA"), dtype=np.float32) / 255
                 pixels = pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:])
+                pixels = np.rint(255 * pixels).astype(np.uint8)
             elif opened.mode in ("RGB", "L", "P", "1", "CMYK", "YCbCr"):
-                pixels = np.asarray(opened.convert("RGB"), dtype=np.float32) / 255
+                pixels = np.asarray(opened.convert("RGB"))
             else:
                 raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
     except FileNotFoundError as error:
@@ -173,4 +181,4 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
         raise InputError(
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
-    return pixels
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))

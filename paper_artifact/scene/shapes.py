@@ -6,7 +6,7 @@ each builder). All are in world units, centred at the origin.
 
 from __future__ import annotations
 
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 import trimesh
@@ -27,9 +27,9 @@ def make_shape(name: str) -> Mesh:
 
     Raises InputError for an unknown name.
     """
-    if name not in _BUILDERS:
+    if name not in SHAPES:
         raise InputError(f"unknown shape '{name}'; choose one of {', '.join(SHAPES)}, or give a mesh file")
-    return _BUILDERS[name]()
+    return SHAPES[name]()
 
 
 def sphere() -> Mesh:
@@ -161,7 +161,7 @@ def _grid_faces(index: np.ndarray, wrap_rows: bool) -> np.ndarray:
     return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
-_BUILDERS: dict[str, Callable[[], Mesh]] = {
+SHAPES: dict[str, Callable[[], Mesh]] = {
     "sphere": sphere,
     "cube": cube,
     "cylinder": cylinder,
@@ -171,4 +171,3 @@ _BUILDERS: dict[str, Callable[[], Mesh]] = {
     "bowl_narrow": lambda: bowl("bowl_narrow"),
     "bowl_wide": lambda: bowl("bowl_wide"),
 }
-SHAPES: tuple[str, ...] = tuple(_BUILDERS)

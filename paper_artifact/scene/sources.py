@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import difflib
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 from paper_artifact.errors import InputError
@@ -60,7 +60,7 @@ class Source:
         )
 
 
-@lru_cache(maxsize=None)
+@cache
 def sources(table: Path = TABLE) -> dict[str, Source]:
     """Return the table (key → Source, in file order).
 
@@ -71,7 +71,8 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
             rows = list(csv.DictReader(handle))
     except OSError as error:
         raise InputError(
-            f"cannot read the mesh table {table}: {error.strerror}; external meshes need a checkout of the repository"
+            f"cannot read the mesh table {table}: {error.strerror}; "
+            "external meshes need a checkout of the repository"
         ) from error
     result = {}
     for number, row in enumerate(rows, start=2):

@@ -12,7 +12,7 @@ from paper_artifact.soup.state import Soup
 def render_views(soup: Soup, scene: Scene, views: np.ndarray) -> np.ndarray:
     """Return the soup's images (n,H,W,3) float32 in [0,1] of the scene's views (indices (n,)), rendered at
     the threshold .5."""
-    height, width = scene.images.shape[1:3]
+    height, width = scene.images.shape[2:]
     drawn, raster = soup.drawn(), ViewRaster(height, width)
     cameras = [make_camera(scene.world_to_clip[view]) for view in views]
     colours = [raster.render(drawn, camera, scene.background).copy() for camera in cameras]

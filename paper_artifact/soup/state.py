@@ -45,9 +45,13 @@ class Soup:
 
     def trainable(self) -> Soup:
         """Return the same soup with every tensor a leaf that requires a gradient."""
-        for tensor in (self.vertices, self.features, self.opacity, *self.mlp):
+        for tensor in self.tensors():
             tensor.requires_grad_(True)
         return self
+
+    def tensors(self) -> tuple[torch.Tensor, ...]:
+        """Return the nine tensors: vertices, features, opacity and the MLP's six."""
+        return (self.vertices, self.features, self.opacity, *self.mlp)
 
     def drawn(self) -> SoupArrays:
         """Return what the CPU rasterizer draws: features and opacity through the sigmoid, the rest as it

@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +31,9 @@ class Bundle:
     """Target bars and what they were measured on. Radii and floor are divided by the diagonal."""
 
     # of dimensions 0, 1, 2: the significant finite bars (k,2) float64 (birth, death), longest first
-    bars: tuple[np.ndarray, np.ndarray, np.ndarray]
+    bars: tuple[np.ndarray, ...]
     dimensions: tuple[int, ...]  # where the loss acts
-    reasons: tuple[str, str, str]  # one sentence for each of dimensions 0, 1, 2
+    reasons: tuple[str, ...]  # one sentence for each of dimensions 0, 1, 2
     samples: int  # M, points of the target's sample
     seed: int  # of that sample
     floor: float  # floor_multiplier · r_med(M) / diagonal, dimensionless
@@ -126,11 +127,10 @@ def build_bundle(
                 "or it does not exist"
             )
     acted = tuple(sorted(set(chosen) | set(suppress)))
-    reasons = tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons))
     return Bundle(
         bars=tuple(bars),
         dimensions=acted,
-        reasons=reasons,
+        reasons=tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons)),
         samples=len(points),
         seed=int(seed),
         floor=floor,
@@ -142,7 +142,13 @@ def build_bundle(
 
 
 def build_from_mesh(
-    vertices: np.ndarray, faces: np.ndarray, samples: int, seed: int = 0, *, shape: str = "mesh", **options
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    samples: int,
+    seed: int = 0,
+    *,
+    shape: str = "mesh",
+    **options: Any,
 ) -> Bundle:
     """Return the bundle at M = `samples` of a mesh, vertices (V,3) world units and faces (F,3).
 

@@ -9,6 +9,8 @@ significant feature; C2g halves it (about three neighbours).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
@@ -37,7 +39,7 @@ def repulsion(positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
 
 class _Repulsion(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
+    def forward(ctx: Any, positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
         points = positions.detach().numpy()
         difference = points[pairs[:, 0]] - points[pairs[:, 1]]
         distance = np.sqrt((difference**2).sum(axis=1))
@@ -56,5 +58,5 @@ class _Repulsion(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, upstream: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
         return upstream * ctx.saved_tensors[0], None, None

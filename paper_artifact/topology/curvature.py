@@ -1,14 +1,12 @@
-"""Curvature weights of the plan's terms: condition C4, which the paper defers and leaves undefined.
+"""Curvature weights of the plan's pulls: condition C4, which the paper defers and leaves undefined.
 
 The definition here is this artifact's own. The curvature of a sample is the surface variation of its 16
 nearest samples, the smallest share λ0 / (λ0 + λ1 + λ2) of their covariance's eigenvalues (Pauly, Gross &
-Kobbelt 2002); a term's weight is the mean over the corners of its two simplices, divided by the mean over the
+Kobbelt 2002); a pull's weight is the mean over the corners of its two simplices, divided by the mean over the
 cloud and clipped to [1/4, 4]. Weights are frozen with the plan.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,12 +26,18 @@ def surface_variation(cloud: np.ndarray, indices: np.ndarray, neighbours: int = 
     return np.where(total > 0, np.maximum(eigenvalues[:, 0], 0.0) / np.where(total > 0, total, 1.0), 0.0)
 
 
-def pair_weights(cloud: np.ndarray, simplices: Sequence[tuple[int, ...]]) -> np.ndarray:
-    """Return the weights (n,) of terms with corner samples `simplices`; 1 for each when the whole cloud is
-    flat.
+def pair_weights(cloud: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the weights (n,) of pulls with corner samples `corners` (n,c) int64, negative where there is
+    none.
+
+    1 for each when the whole cloud is flat.
     """
     variation = surface_variation(cloud, np.arange(len(cloud)))
     mean = variation.mean()
     if mean <= 0:
-        return np.ones(len(simplices))
-    return np.clip([variation[list(simplex)].mean() / mean for simplex in simplices], *CLIP)
+        return np.ones(len(corners))
+    present = corners >= 0
+    total = np.zeros(len(corners))
+    for column, there in zip(corners.T, present.T, strict=True):  # corner by corner: one order of summation
+        total += np.where(there, variation[column], 0.0)
+    return np.clip(total / present.sum(axis=1) / mean, *CLIP)

@@ -31,55 +31,86 @@ class Matching:
 
 def pair_costs(live: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the squared birth-death distances (n,m) of bars (n,2) and (m,2)."""
-    return ((live[:, None, :] - target[None, :, :]) ** 2).sum(axis=2)
+    births, deaths = (live[:, None, side] - target[None, :, side] for side in (0, 1))
+    return births**2 + deaths**2
 
 
 def match_bars(live: np.ndarray, target: np.ndarray, diagonal_factor: float = PAPER_DIAGONAL) -> Matching:
     """Return the optimal partial matching of bars `live` (n,2) and `target` (m,2) on the augmented cost.
 
-    The (n+m) × (m+n) cost holds the pair costs, diagonal_factor·(d - b)² on the diagonals of the two side
-    blocks, and 0 between two diagonal copies; solved by scipy's linear_sum_assignment (Crouse 2016, a
-    Hungarian-type method).
+    Minimises the augmented cost (pair costs, diagonal_factor·(d - b)² of each bar left alone). A pair's gain
+    is its cost less that of leaving both alone; the best set of gains is an assignment on the n × m matrix of
+    the gains below 0, without the copies of the diagonal. Solved by scipy's linear_sum_assignment (Crouse
+    2016, a Hungarian-type method).
     """
     live, target = (np.asarray(bars, dtype=np.float64).reshape(-1, 2) for bars in (live, target))
-    n, m = len(live), len(target)
-    live_diagonal = diagonal_factor * (live[:, 1] - live[:, 0]) ** 2
-    target_diagonal = diagonal_factor * (target[:, 1] - target[:, 0]) ** 2
-    cost = np.zeros((n + m, m + n))
-    cost[:n, :m] = pair_costs(live, target)
-    # Dearer than any whole matching, yet on the scale of the costs, so no digits of theirs are lost.
-    forbidden = 2 * (cost.sum() + live_diagonal.sum() + target_diagonal.sum()) + np.finfo(np.float64).tiny
-    cost[:n, m:] = forbidden
-    cost[n:, :m] = forbidden
-    cost[np.arange(n), m + np.arange(n)] = live_diagonal
-    cost[n + np.arange(m), np.arange(m)] = target_diagonal
-    rows, columns = linear_sum_assignment(cost)
-    is_pair = (rows < n) & (columns < m)
-    matched = np.column_stack([rows[is_pair], columns[is_pair]]).astype(np.int64).reshape(-1, 2)
+    alone = [diagonal_factor * (bars[:, 1] - bars[:, 0]) ** 2 for bars in (live, target)]
+    gains = np.minimum(pair_costs(live, target) - alone[0][:, None] - alone[1], 0.0)
+    if (
+        len(live)
+        and len(target)
+        and (live[:, 0] == target[0, 0]).all()
+        and (target[:, 0] == target[0, 0]).all()
+    ):
+        rows, columns = (np.argsort(bars[:, 1], kind="stable") for bars in (live, target))
+        chosen = _increasing_pairs(gains[np.ix_(rows, columns)])
+    else:  # a bar that no pair gains anything with stays alone
+        rows, columns = (np.flatnonzero(gains.any(axis=axis)) for axis in (1, 0))
+        chosen = linear_sum_assignment(gains[np.ix_(rows, columns)])
+    matched = np.column_stack([rows[chosen[0]], columns[chosen[1]]]).astype(np.int64)
+    matched = matched[gains[matched[:, 0], matched[:, 1]] < 0]
     matched = matched[np.argsort(matched[:, 1], kind="stable")]
     return Matching(
         matched=matched,
-        unmatched_live=np.setdiff1d(np.arange(n), matched[:, 0]),
-        unmatched_target=np.setdiff1d(np.arange(m), matched[:, 1]),
-        cost=float(cost[rows, columns].sum()),
+        unmatched_live=np.setdiff1d(np.arange(len(live)), matched[:, 0]),
+        unmatched_target=np.setdiff1d(np.arange(len(target)), matched[:, 1]),
+        cost=float(alone[0].sum() + alone[1].sum() + gains[matched[:, 0], matched[:, 1]].sum()),
     )
 
 
-def recruit(pool: np.ndarray, missing: np.ndarray) -> list[tuple[int, int]]:
-    """Return (pool index, missing index) pairs: each missing target claims its nearest free pool bar.
+def _increasing_pairs(gains: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (rows, columns), both increasing, of the pairs with the least sum of `gains` (n,m).
+
+    Bars of equal birth lie on a line, where the cost is convex in the deaths: sorted by death, an optimal
+    matching crosses nowhere, and dynamic programming over prefixes finds it in n·m steps.
+    """
+    n, m = gains.shape
+    if n > m:
+        columns, rows = _increasing_pairs(gains.T)
+        return rows, columns
+    least = np.zeros(m + 1)  # of the rows so far and the first j columns
+    paired, skipped = np.zeros((n, m), dtype=bool), np.zeros((n, m), dtype=bool)
+    for i in range(n):
+        with_pair = least[:-1] + gains[i]
+        paired[i] = with_pair < least[1:]
+        before = np.where(paired[i], with_pair, least[1:])
+        least[1:] = np.minimum(np.minimum.accumulate(before), 0.0)
+        skipped[i] = least[1:] < before
+    found, i, j = [], n - 1, m - 1
+    while i >= 0 and j >= 0:
+        if skipped[i, j]:
+            j -= 1
+        else:
+            if paired[i, j]:
+                found.append((i, j))
+                j -= 1
+            i -= 1
+    rows, columns = np.array(found[::-1], dtype=np.int64).reshape(-1, 2).T
+    return rows, columns
+
+
+def recruit(pool: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Return pairs (p,2) int64 (pool, missing): each missing target claims its nearest free pool bar.
 
     The paper's L_recruit. pool (n,2): every live bar the matching did not claim, sub-threshold ones included;
     missing (m,2): unmatched targets. Targets go in decreasing persistence (equal ones in index order),
     without replacement; an empty pool leaves the rest out.
     """
-    pool, missing = (np.asarray(bars, dtype=np.float64).reshape(-1, 2) for bars in (pool, missing))
-    free = np.ones(len(pool), dtype=bool)
-    claimed: list[tuple[int, int]] = []
-    for j in np.argsort(-(missing[:, 1] - missing[:, 0]), kind="stable"):
-        if not free.any():
-            break
-        costs = np.where(free, pair_costs(pool, missing[j : j + 1])[:, 0], np.inf)
-        k = int(np.argmin(costs))
-        free[k] = False
+    pool, missing = (np.array(bars, dtype=np.float64).reshape(-1, 2) for bars in (pool, missing))
+    births, deaths = pool.T.copy()
+    claimed = []
+    for j in np.argsort(-(missing[:, 1] - missing[:, 0]), kind="stable")[: len(pool)]:
+        k = int(np.argmin((births - missing[j, 0]) ** 2 + (deaths - missing[j, 1]) ** 2))
+        births[k] = np.inf  # no longer free
         claimed.append((k, int(j)))
-    return claimed
+    return np.array(claimed, dtype=np.int64).reshape(-1, 2)

@@ -107,7 +107,7 @@ class TopologyTerm:
         if self._objective is None or self._resampled:
             raise InputError(f"step {step} is active but has no plan; call refresh_if_due before value")
         if self.lambda_peak is None:
-            self.lambda_peak = self._calibrated(step, vertices, photo_gradient_norm)
+            self.lambda_peak = self._calibrated(step, self._objective, vertices, photo_gradient_norm)
         if self.lambda_peak is None:
             return None
         return (self.lambda_peak * factor * self._objective.value(vertices)).to(vertices)
@@ -125,11 +125,15 @@ class TopologyTerm:
         self._objective = None
 
     def _calibrated(
-        self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]
+        self,
+        step: int,
+        objective: Objective,
+        vertices: Tensor,
+        photo_gradient_norm: float | Callable[[], float],
     ) -> float | None:
         """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖ of this step and log it, or None and the reason."""
         live = vertices.detach().clone().requires_grad_(True)
-        (gradient,) = torch.autograd.grad(self._objective.value(live), live)
+        (gradient,) = torch.autograd.grad(objective.value(live), live)
         topo_norm = float(torch.linalg.vector_norm(gradient.double()))
         photo_norm = float(photo_gradient_norm() if callable(photo_gradient_norm) else photo_gradient_norm)
         peak = peak_weight(self.config.rho, photo_norm, topo_norm)

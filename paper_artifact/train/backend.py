@@ -18,12 +18,12 @@ from paper_artifact.soup.state import Soup, soup_of
 
 
 class CpuBackend:
-    """Numba kernels; the targets' SSIM statistics are kept."""
+    """Numba kernels; targets are the scene's own bytes."""
 
     def __init__(self, scene: Scene, views: np.ndarray) -> None:
-        self._targets = {int(view): make_target(scene.images[view].transpose(2, 0, 1)) for view in views}
+        self._targets = {int(view): make_target(scene.images[view]) for view in views}
         self._cameras = {int(view): make_camera(scene.world_to_clip[view]) for view in views}
-        _, height, width, _ = scene.images.shape
+        height, width = scene.images.shape[2:]
         self._step = PhotometricStep(height, width, scene.background)
 
     def to_device(self, soup: Soup) -> Soup:
@@ -44,8 +44,7 @@ class CpuBackend:
         for value, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
             sigmoid = torch.from_numpy(value)
             torch.from_numpy(gradient).mul_(sigmoid * (1 - sigmoid))
-        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        for tensor, gradient in zip(tensors, gradients.flat(), strict=True):
+        for tensor, gradient in zip(soup.tensors(), gradients.flat(), strict=True):
             tensor.grad = torch.from_numpy(gradient)
         return loss
 
@@ -58,13 +57,12 @@ class TwinBackend:
     ) -> None:
         self._device, self._dtype = torch.device(device), dtype
         self._row = {int(view): row for row, view in enumerate(views)}
-        self._targets = torch.from_numpy(scene.images[views].transpose(0, 3, 1, 2)).to(self._device, dtype)
+        self._targets = torch.from_numpy(scene.images[views]).to(self._device, dtype) / 255
         self._matrices = torch.from_numpy(scene.world_to_clip).to(self._device, dtype)
         self._background = torch.as_tensor(scene.background).to(self._device, dtype)
 
     def _moved(self, soup: Soup, device: torch.device, dtype: torch.dtype) -> Soup:
-        tensors = (soup.vertices, soup.features, soup.opacity, *soup.mlp)
-        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in tensors]).trainable()
+        return soup_of([tensor.detach().to(device, dtype).clone() for tensor in soup.tensors()]).trainable()
 
     def to_device(self, soup: Soup) -> Soup:
         """Return a copy of the soup on this backend's device and dtype."""
@@ -87,6 +85,8 @@ class TwinBackend:
         auxiliary = twin.opacity_gradient(opacity, colour.detach(), target, raster)
         colour = twin.edge_gradient(colour, soup.vertices, raster, matrices)
         loss = twin.photometric_loss(colour, target)
+        for tensor in soup.tensors():
+            tensor.grad = None
         (loss + auxiliary).backward()
         return loss.item()
 

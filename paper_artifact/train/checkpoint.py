@@ -1,6 +1,6 @@
 """Checkpoints: all that a run needs to go on to the same bits, written atomically right after a resampling.
 
-Right after a resampling the soup's optimisers are new and the topology plan is due, so neither has to be
+Right after a resampling the soup's optimiser is new and the topology plan is due, so neither has to be
 stored; the MLP's moments and the term's own state are.
 """
 
@@ -13,12 +13,13 @@ import torch
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
+from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.state import soup_of
 from paper_artifact.train.backend import Backend
-from paper_artifact.train.state import TrainState, soup_optimisers
+from paper_artifact.train.state import TrainState
 from paper_artifact.train.term import LossTerm
 
-FORMAT = 2
+FORMAT = 3
 HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
 
 
@@ -31,8 +32,8 @@ def write_checkpoint(
     saved = {name: getattr(state, name) for name in HISTORY} | {
         "format": FORMAT,
         "config": _text(config),
-        "soup": [tensor.detach() for tensor in (soup.vertices, soup.features, soup.opacity, *soup.mlp)],
-        "mlp_optimiser": state.optimisers["mlp"].state_dict(),
+        "soup": [tensor.detach() for tensor in soup.tensors()],
+        "mlp_moments": state.optimiser.mlp_state(),
         "term": term.state(),
     }
     with atomic_path(path) as temporary:
@@ -55,7 +56,7 @@ def resumed_state(
         version, saved_config = saved["format"], saved["config"]
         history = {name: saved[name] for name in HISTORY}
         soup = soup_of(saved["soup"]).trainable()
-        moments, term_state = saved["mlp_optimiser"], saved["term"]
+        moments, term_state = saved["mlp_moments"], saved["term"]
     except Exception as error:  # torch.load raises many kinds for a damaged file
         raise InputError(
             f"checkpoint {path} is damaged ({type(error).__name__}); delete it to start the run anew"
@@ -65,8 +66,8 @@ def resumed_state(
             f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
         )
     soup = backend.to_device(soup)
-    state = TrainState(soup=soup, optimisers=soup_optimisers(soup), resumed_at=history["step"], **history)
-    state.optimisers["mlp"].load_state_dict(moments)
+    state = TrainState(soup=soup, optimiser=soup_optimiser(soup), resumed_at=history["step"], **history)
+    state.optimiser.load_mlp_state(moments)
     term.load_state(term_state)
     return state
 

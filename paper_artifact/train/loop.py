@@ -19,12 +19,13 @@ from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
+from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
-from paper_artifact.train.state import TrainingError, TrainState, learning_rates, soup_optimisers
+from paper_artifact.train.state import TrainingError, TrainState, learning_rates
 from paper_artifact.train.term import LossTerm, NoTerm
 
 
@@ -70,8 +71,6 @@ def train(
     )
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
-        with state.timed("optimiser"):
-            state.set_rates(learning_rates(config, float(scene.radius), step))
         with state.timed("photometric"):
             views = batch_views(scene.train, config.batch, config.seed, step)
             keys = [view_key(config.seed, step, int(view)) for view in views]
@@ -81,14 +80,13 @@ def train(
         with state.timed("topology"):
             add_term(term, state)
         with state.timed("optimiser"):
-            for optimiser in state.optimisers.values():
-                optimiser.step()
+            state.optimiser.step(learning_rates(config, float(scene.radius), step))
             state.check_vertices(config)
         state.resampled = False
         if resampler.due(step, config.steps):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
-                height, width = scene.images.shape[1:3]
+                height, width = scene.images.shape[2:]
                 soup, report = resampler.resample(
                     backend.to_host(state.soup), views_of_all, height, width, config.seed, step, config.steps
                 )
@@ -112,7 +110,7 @@ def start_state(
     """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
     soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
-    return TrainState(0, soup, soup_optimisers(soup))
+    return TrainState(0, soup, soup_optimiser(soup))
 
 
 def add_term(term: LossTerm, state: TrainState) -> None:

@@ -1,4 +1,4 @@
-"""A run's state between two steps: soup, optimisers, history; and its learning rates as a function of the
+"""A run's state between two steps: soup, optimiser, history; and its learning rates as a function of the
 step."""
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from paper_artifact.config import RunConfig
+from paper_artifact.soup.adam import KernelOptimiser, TorchOptimiser, soup_optimiser
 from paper_artifact.soup.state import Soup
-from paper_artifact.soup.vector_adam import VectorAdam
 
 
 class TrainingError(RuntimeError):
@@ -26,9 +26,7 @@ class TrainState:
 
     step: int  # steps taken: steps count from 1, 0 is the start
     soup: Soup  # on the backend's device while training, on the CPU at the end
-    optimisers: dict[
-        str, torch.optim.Optimizer
-    ]  # by what they move: "vertices", "features" (with the opacity), "mlp"
+    optimiser: KernelOptimiser | TorchOptimiser  # of the soup's tensors
     resampled: bool = True  # the soup was changed wholesale since the last step, as at the start
     losses: list[float] = field(default_factory=list)  # photometric loss of every step, dimensionless
     dumps: list[dict] = field(default_factory=list)  # evaluations
@@ -45,20 +43,12 @@ class TrainState:
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
 
-    def set_rates(self, rates: dict[str, tuple[float, ...]]) -> None:
-        """Set the learning rates of every optimiser's parameter groups (see `learning_rates`) and forget the
-        last gradients."""
-        for name, optimiser in self.optimisers.items():
-            for group, rate in zip(optimiser.param_groups, rates[name], strict=True):
-                group["lr"] = rate
-            optimiser.zero_grad(set_to_none=True)
-
     def replace_soup(self, soup: Soup) -> None:
-        """Go on with another soup: new optimisers, but the MLP's moments stay, since only its tensors may be
+        """Go on with another soup: a new optimiser, but the MLP's moments stay, since only its tensors may be
         new ones."""
-        moments = self.optimisers["mlp"].state_dict()
-        self.soup, self.optimisers, self.resampled = soup, soup_optimisers(soup), True
-        self.optimisers["mlp"].load_state_dict(moments)
+        moments = self.optimiser.mlp_state()
+        self.soup, self.optimiser, self.resampled = soup, soup_optimiser(soup), True
+        self.optimiser.load_mlp_state(moments)
 
     def check_loss(self, loss: float, config: RunConfig) -> None:
         """Raise TrainingError unless the photometric loss of this step is finite."""
@@ -83,24 +73,15 @@ class TrainState:
         raise TrainingError(f"{what}; lower the learning rates ({rates}) and run again")
 
 
-def soup_optimisers(soup: Soup) -> dict[str, torch.optim.Optimizer]:
-    """Return new optimisers of the soup's tensors; their learning rates are set at every step."""
-    return {
-        "features": torch.optim.Adam([{"params": [soup.features]}, {"params": [soup.opacity]}]),
-        "vertices": VectorAdam([soup.vertices], lr=0.0),
-        "mlp": torch.optim.Adam(soup.mlp),
-    }
-
-
-def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, tuple[float, ...]]:
-    """Return the learning rates at `step` (from 1) per optimiser, one per parameter group: exponential decay
-    to `final_lr`.
+def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, float]:
+    """Return the learning rates at `step` (from 1) by what they move: exponential decay to `final_lr`.
 
     radius: the scene's, world units, which vertex_lr is per unit of.
     """
     decay = config.final_lr ** (step / config.steps)
     return {
-        "features": (config.feature_lr * decay, config.opacity_lr * decay),
-        "vertices": (config.vertex_lr * radius * decay,),
-        "mlp": (config.mlp_lr * decay,),
+        "vertices": config.vertex_lr * radius * decay,
+        "features": config.feature_lr * decay,
+        "opacity": config.opacity_lr * decay,
+        "mlp": config.mlp_lr * decay,
     }

@@ -46,7 +46,8 @@ def conditions(collected: Collected) -> list[str]:
 
 
 def in_order(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame sorted by shape and condition in the catalogue's order, rows of one arm as they are."""
+    """Return the frame sorted by shape and condition in the catalogue's order, rows of one arm as they
+    are."""
     orders = {
         "shape": shapes_in_order(frame["shape"]),
         "condition": catalogue.in_order(frame["condition"].unique()),

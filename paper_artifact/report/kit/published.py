@@ -37,5 +37,5 @@ def published(table: str, folder: Path | str = PUBLISHED) -> pd.DataFrame:
                 frame["printed"] = frame["value"]
             frame = frame.assign(**{name: pd.to_numeric(frame[name]) for name in NUMBERS if name in frame})
             return frame.astype({name: float for name in ("value", "sd") if name in frame})
-    known = ", ".join(tables(folder)) or f"none, since {folder} holds none: work in a checkout of the repository"
+    known = ", ".join(tables(folder)) or f"none, since {folder} holds none: work in a checkout"
     raise InputError(f"the paper has no table '{table}' here; known: {known}")

@@ -62,7 +62,7 @@ def staircases(
 
 
 def bars(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per bar of a staircase: its other columns, dimension, bar ("loop 2"), lifetime, margin."""
+    """Return a row per bar: shape, samples, seed, floor, law, dimension, bar ("loop 2"), lifetime, margin."""
     columns = table.filter(regex=r"^h\d_\d+$").columns
     long = table.melt(table.columns.drop(columns), columns, "bar", "lifetime", ignore_index=False)
     long = long.sort_index(kind="stable")[lambda each: each["lifetime"] > 0].reset_index(drop=True)
@@ -116,7 +116,7 @@ def signature_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def beside_published(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
-    """Return two tables of `signatures` one above the other, shape by shape: rows (shape, "ours" or "paper")."""
+    """Return two tables of `signatures` in one, shape by shape: rows (shape, "ours" or "paper")."""
     both = pd.concat({"ours": ours, "paper": paper}, names=["whose"]).swaplevel()[ours.columns]
     rows = [
         (shape, whose) for shape in ours.index for whose in ("ours", "paper") if (shape, whose) in both.index

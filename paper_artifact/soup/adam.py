@@ -1,0 +1,136 @@
+"""Adam for a soup: one kernel per rule on the CPU, torch's optimisers on other devices; both with the same
+three methods.
+
+Plain Adam (Kingma & Ba, ICLR 2015) for features, opacity and MLP, `VectorAdam` for the vertices; betas (.9,
+.999), eps 1e-8, bias-corrected. Learning rates are given anew at every step, by the name of what they move:
+"vertices", "features", "opacity", "mlp".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+
+from paper_artifact.soup.state import Soup
+from paper_artifact.soup.vector_adam import VectorAdam
+
+NAMES = ("vertices", "features", "opacity", *["mlp"] * 6)  # of `Soup.tensors`
+_BETA1, _BETA2, _EPS = 0.9, 0.999, 1e-8
+_KEEP1, _KEEP2 = np.float32(_BETA1), np.float32(_BETA2)
+_NEW1, _NEW2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def adam(value, gradient, mean, square, rate, eps):
+    """Take one step of Adam in place; all arrays (n,) float32.
+
+    rate, eps float32: the learning rate and Adam's eps with the bias corrections in them, see `corrected`.
+    """
+    for i in range(len(value)):
+        g = gradient[i]
+        mean[i] = _KEEP1 * mean[i] + _NEW1 * g
+        square[i] = _KEEP2 * square[i] + _NEW2 * g * g
+        value[i] -= rate * mean[i] / (np.sqrt(square[i]) + eps)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def vector_adam(value, gradient, mean, square, rate, eps):
+    """As `adam`, but with one second moment per vector: value, gradient and mean (3·n,), square (n,)."""
+    for i in range(len(square)):
+        x, y, z = gradient[3 * i], gradient[3 * i + 1], gradient[3 * i + 2]
+        square[i] = _KEEP2 * square[i] + _NEW2 * (x * x + y * y + z * z)
+        factor = rate / (np.sqrt(square[i]) + eps)
+        for k in range(3 * i, 3 * i + 3):
+            mean[k] = _KEEP1 * mean[k] + _NEW1 * gradient[k]
+            value[k] -= factor * mean[k]
+
+
+def corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
+    """Return learning rate and eps with the bias corrections of `step` (from 1) in them.
+
+    rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square +
+    eps·√c2).
+    """
+    root = (1 - _BETA2**step) ** 0.5
+    return np.float32(rate * root / (1 - _BETA1**step)), np.float32(_EPS * root)
+
+
+class KernelOptimiser:
+    """Adam of a soup whose tensors are float32 on the CPU; it writes to them in place."""
+
+    def __init__(self, soup: Soup) -> None:
+        """Start with zero moments."""
+        self._tensors = soup.tensors()
+        self._values = [tensor.detach().view(-1).numpy() for tensor in self._tensors]
+        self._means = [np.zeros_like(value) for value in self._values]
+        self._squares = [np.zeros_like(value) for value in self._values]
+        self._squares[0] = np.zeros(len(self._values[0]) // 3, np.float32)
+        self._steps = dict.fromkeys(NAMES, 0)  # taken with these moments
+
+    def step(self, rates: Mapping[str, float]) -> None:
+        """Move every tensor along its gradient; rates by name, see `NAMES`."""
+        for name in self._steps:
+            self._steps[name] += 1
+        numbers = {name: corrected(rates[name], step) for name, step in self._steps.items()}
+        arrays = zip(NAMES, self._tensors, self._values, self._means, self._squares, strict=True)
+        for name, tensor, value, mean, square in arrays:
+            rule = vector_adam if name == "vertices" else adam
+            assert tensor.grad is not None, "a step without gradients"
+            rule(value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name])
+
+    def mlp_state(self) -> dict[str, Any]:
+        """Return the MLP's moments and the number of steps they saw, as `load_mlp_state` takes them."""
+        moments = {"mean": self._means, "square": self._squares}
+        state = {name: [torch.from_numpy(array) for array in arrays[3:]] for name, arrays in moments.items()}
+        return {"step": self._steps["mlp"], **state}
+
+    def load_mlp_state(self, state: Mapping[str, Any]) -> None:
+        """Go on with moments of another soup's MLP."""
+        self._steps["mlp"] = state["step"]
+        mine = (*self._means[3:], *self._squares[3:])
+        for array, moment in zip(mine, (*state["mean"], *state["square"]), strict=True):
+            array[:] = moment.cpu().numpy()
+
+
+class TorchOptimiser:
+    """As `KernelOptimiser`, by torch's optimisers: any device and dtype."""
+
+    def __init__(self, soup: Soup) -> None:
+        """Start with zero moments."""
+        self._mlp = soup.mlp
+        self._optimisers = {
+            "vertices": VectorAdam([soup.vertices], lr=0.0),
+            "features": torch.optim.Adam([soup.features]),
+            "opacity": torch.optim.Adam([soup.opacity]),
+            "mlp": torch.optim.Adam(soup.mlp),
+        }
+
+    def step(self, rates: Mapping[str, float]) -> None:
+        """Move every tensor along its gradient; rates by name, see `NAMES`."""
+        for name, optimiser in self._optimisers.items():
+            optimiser.param_groups[0]["lr"] = rates[name]
+            optimiser.step()
+
+    def mlp_state(self) -> dict[str, Any]:
+        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes
+        them."""
+        states = [self._optimisers["mlp"].state[tensor] for tensor in self._mlp]
+        mean, square = ([state[name].flatten() for state in states] for name in ("exp_avg", "exp_avg_sq"))
+        return {"step": int(states[0]["step"]), "mean": mean, "square": square}
+
+    def load_mlp_state(self, state: Mapping[str, Any]) -> None:
+        """Go on with moments of another soup's MLP."""
+        for tensor, mean, square in zip(self._mlp, state["mean"], state["square"], strict=True):
+            mean, square = (moment.to(tensor).reshape(tensor.shape).clone() for moment in (mean, square))
+            saved = {"step": torch.tensor(float(state["step"])), "exp_avg": mean, "exp_avg_sq": square}
+            self._optimisers["mlp"].state[tensor] = saved
+
+
+def soup_optimiser(soup: Soup) -> KernelOptimiser | TorchOptimiser:
+    """Return a new optimiser of the soup's tensors: kernels where the rasterizer's are, else torch."""
+    on_kernels = soup.vertices.device.type == "cpu" and soup.vertices.dtype == torch.float32
+    return KernelOptimiser(soup) if on_kernels else TorchOptimiser(soup)
