@@ -10,7 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from paper_artifact.config import RunConfig
+import numpy as np
+
+from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
@@ -24,6 +26,7 @@ from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.render import render_views
+from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
@@ -55,29 +58,40 @@ def make_run_term(config: RunConfig, mesh: Mesh) -> tuple[TopologyTerm | None, B
     return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
 
 
-def make_run_importance(config: RunConfig, mesh: Mesh) -> ImportanceField | None:
-    """Return the importance field of a configuration's allocation, None, importing nothing, where it has
-    none.
+def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: Mesh) -> ImportanceField:
+    """Return the importance field of a run's allocation on the target mesh.
 
     Random centres are drawn on the surface with the run's seed, of the same number, weights and widths (arms
     B3, B5).
     """
-    allocation = config.allocation
-    if allocation is None:
-        return None
     from paper_artifact.topology.importance import feature_kernels, importance_field
 
-    generator = stream(allocation.bundle_seed, "bundle-samples")
-    points = sample_surface(mesh.vertices, mesh.faces, allocation.samples, generator)[0]
+    def sample(count: int, generator: np.random.Generator) -> np.ndarray:
+        return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
+
+    points = sample(allocation.samples, stream(allocation.bundle_seed, "bundle-samples"))
     kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
     if allocation.centres == "random":
         draws = stream(config.seed, "allocation-centres")
-        kernels = [
-            each.moved(sample_surface(mesh.vertices, mesh.faces, len(each.centres), draws)[0])
-            for each in kernels
-        ]
-    dense = sample_surface(mesh.vertices, mesh.faces, DENSE, stream(0, "allocation-dense"))[0]
-    return importance_field(kernels, dense)
+        kernels = [each.moved(sample(len(each.centres), draws)) for each in kernels]
+    return importance_field(kernels, sample(DENSE, stream(0, "allocation-dense")))
+
+
+def make_run_allocation(
+    config: RunConfig, mesh: Mesh, points: np.ndarray
+) -> tuple[Resampler | None, np.ndarray | None]:
+    """Return what an allocation gives to the trainer: a resampler, or the importance of the scene's points
+    (n,3).
+
+    (None, None), without any import, for a configuration without allocation.
+    """
+    allocation = config.allocation
+    if allocation is None:
+        return None, None
+    importance = make_run_importance(config, allocation, mesh)
+    if allocation.levers == "start":
+        return None, importance(points)
+    return allocating_resampler(config, allocation, importance), None
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
@@ -114,8 +128,7 @@ def run(
         ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
-    importance = make_run_importance(config, mesh)
-    allocating = importance is not None and config.allocation.levers == "resampling"
+    resampler, importance = make_run_allocation(config, mesh, scene.points)
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
     cpu = time.process_time()
 
@@ -131,8 +144,8 @@ def run(
         checkpoint=checkpoint,
         progress=progress,
         device=device,
-        resampler=allocating_resampler(config, importance) if allocating else None,
-        importance=importance(scene.points) if importance is not None and not allocating else None,
+        resampler=resampler,
+        importance=importance,
     )
     holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.colours(scene.holdout))
     sections: dict[str, Any] = {

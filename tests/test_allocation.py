@@ -1,4 +1,4 @@
-"""The allocation study's field and levers: the paper's formula, the width-matched control, strict budget parity."""
+"""The allocation study's field and levers: the paper's formula, the width-matched control, budget parity."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
-from paper_artifact.pipeline import make_run_importance
+from paper_artifact.pipeline import make_run_allocation, make_run_importance
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.allocation import allocating_resampler, most_important, protective_order
 from paper_artifact.soup.initialise import initial_soup
@@ -62,7 +62,7 @@ def test_the_field_is_normalised_per_dimension_and_takes_the_nearest_sample():
     weak = Kernels(dense[:1], np.array([1e-6]), np.array([0.3]))
     strong = Kernels(dense[99:100], np.array([1e6]), np.array([0.3]))
     field = importance_field([weak, strong], dense)
-    assert 0 <= field.values.min() and field.values.max() == 1.0
+    assert field.values.min() >= 0 and field.values.max() == 1.0
     assert (
         field.values[0] == field.values[99] == 1.0
     )  # the weight of a dimension does not matter, only its shape
@@ -82,7 +82,10 @@ def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
     }
     assert np.array_equal(fields["B4", 0].values, fields["B4", 1].values)
     assert not np.allclose(fields["B5", 0].values, fields["B5", 1].values)
-    assert make_run_importance(study_config("sphere", "C1"), mesh) is None
+    nothing = make_run_allocation(study_config("sphere", "C1"), mesh, mesh.vertices)
+    assert nothing == (None, None)
+    resampler, start = make_run_allocation(study_config("sphere", "B1"), mesh, mesh.vertices)
+    assert resampler is None and start.shape == (len(mesh.vertices),) and 0 <= start.min() < start.max() <= 1
 
 
 def test_a_target_without_features_is_refused():
@@ -137,7 +140,7 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
     def importance(points):
         return 1 / (1 + points[:, 0] ** 2)
 
-    resampler = allocating_resampler(config, importance)
+    resampler = allocating_resampler(config, config.allocation, importance)
     soup, report = resampler.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
     assert report.pruned == min(count, 60)
     # The plain rule on the same pruned soup: only the order of pruning differs.
@@ -153,7 +156,8 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
 
 def test_a_share_of_less_than_a_triangle_is_refused():
     with pytest.raises(InputError, match="budget of 3 triangles is smaller than the protected share"):
-        allocating_resampler(replace(study_config("sphere", "B2"), budget=3), lambda points: points[:, 0])
+        config = replace(study_config("sphere", "B2"), budget=3)
+        allocating_resampler(config, config.allocation, lambda points: points[:, 0])
 
 
 def test_the_first_triangles_follow_the_importance():

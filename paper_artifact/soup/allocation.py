@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from paper_artifact.config import RunConfig
+from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.soup.resample import PruneWeight, Resampler, RespawnChoice, plain_resampler
 
@@ -43,12 +43,13 @@ def most_important(importance: Importance, count: int) -> RespawnChoice:
     return choice
 
 
-def allocating_resampler(config: RunConfig, importance: Importance) -> Resampler:
-    """Return the run's resampler with both levers of its AllocationConfig.
+def allocating_resampler(
+    config: RunConfig, allocation: AllocationConfig, importance: Importance
+) -> Resampler:
+    """Return the run's resampler with both levers of its allocation.
 
     Raises InputError when the share that is subdivided is less than one triangle of the budget.
     """
-    allocation = config.allocation
     count = round(allocation.subdivided * config.budget)
     if allocation.subdivided > 0 and count < 1:
         raise InputError(

@@ -85,7 +85,8 @@ class Resampler:
             split = self._split(soup, world_to_clip[views], *half)
             if self.respawn is not None:
                 counts = visible_pixels(soup, world_to_clip, *half).sum(0)
-                more = self._split(self._respawned(soup, counts > 0), world_to_clip[views], *half)
+                halved = self._respawned(soup, self.respawn(_corners(soup), counts > 0))
+                more = self._split(halved, world_to_clip[views], *half)
                 split = (
                     self._pruned(more, len(split), world_to_clip, *half) if len(more) > len(split) else split
                 )
@@ -98,7 +99,7 @@ class Resampler:
         if len(soup) <= count:
             return soup
         counts = visible_pixels(soup, world_to_clip, height, width).sum(0)
-        priority = np.asarray(self.prune_weight(soup.vertices.detach().cpu().numpy(), counts))
+        priority = np.asarray(self.prune_weight(_corners(soup), counts))
         if priority.shape != counts.shape or np.isnan(priority).any():
             raise RuntimeError(
                 f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN"
@@ -106,15 +107,14 @@ class Resampler:
         order = np.argsort(priority, kind="stable")
         return soup.select(torch.from_numpy(np.sort(order[len(soup) - count :])))
 
-    def _respawned(self, soup: Soup, visible: np.ndarray) -> Soup:
-        """Return the soup with the triangles that the hook chooses halved at their longest edge."""
-        corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
-        halves, origins = bisected(corners, self.respawn(corners, visible))
+    def _respawned(self, soup: Soup, chosen: np.ndarray) -> Soup:
+        """Return the soup with the chosen triangles (indices) halved at their longest edge."""
+        halves, origins = bisected(_corners(soup), chosen)
         return soup.select(torch.from_numpy(origins), torch.from_numpy(halves))
 
     def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
         visible = visible_pixels(soup, world_to_clip, height, width) > 0
-        corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
+        corners = _corners(soup)
         chosen = [np.asarray(self.split_weight(corners, seen)) for seen in visible]
         if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
             raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
@@ -140,6 +140,10 @@ class Resampler:
             )
         if not torch.isfinite(soup.vertices).all():
             raise RuntimeError("resampling met vertices that are not finite")
+
+
+def _corners(soup: Soup) -> np.ndarray:
+    return np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
 
 
 def plain_resampler(config: RunConfig) -> Resampler:
