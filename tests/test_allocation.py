@@ -74,11 +74,10 @@ def test_the_field_is_normalised_per_dimension_and_takes_the_nearest_sample():
 def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
     mesh = make_shape("sphere")
     fields = {
-        (name, seed): make_run_importance(
-            study_config("sphere", name, seed, allocation={"samples": 512}), mesh
-        )
+        (name, seed): make_run_importance(config, config.allocation, mesh)
         for name in ("B4", "B5")
         for seed in (0, 1)
+        for config in [study_config("sphere", name, seed, allocation={"samples": 512})]
     }
     assert np.array_equal(fields["B4", 0].values, fields["B4", 1].values)
     assert not np.allclose(fields["B5", 0].values, fields["B5", 1].values)
