@@ -12,6 +12,7 @@ from paper_artifact.config import LossConfig
 from paper_artifact.report import cost, generality, matrix, plans
 from paper_artifact.report.kit import tables
 from paper_artifact.report.kit.records import collect, collect_study
+from paper_artifact.study import studies
 from paper_artifact.study.studies import STUDIES, study_configs
 from tests.report_records import write_study
 
@@ -128,7 +129,7 @@ def test_a_new_row_of_the_catalogue_is_tabulated_and_plotted(tmp_path, monkeypat
     monkeypatch.setattr(catalogue, "CONDITIONS", (*catalogue.CONDITIONS[:3], arm, *catalogue.CONDITIONS[3:]))
     monkeypatch.setattr(catalogue, "SHAPES", (shape, *catalogue.SHAPES))
     conditions = ("C0", "C1", "C2", "C2x", "C3")
-    monkeypatch.setitem(STUDIES, "made up", ((("bob", "doughnut"), conditions, range(2)),))
+    monkeypatch.setitem(STUDIES, "made up", (studies.Block(("bob", "doughnut"), conditions, range(2)),))
     tails = dict(zip(conditions, (0.04, 0.02, 0.05, 0.01, 0.015), strict=True))
     runs = {
         (shape, name, seed): tail + 0.001 * seed

@@ -21,7 +21,7 @@ from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
@@ -49,6 +49,7 @@ def train(
     progress: Callable[[int, str], None] | None = None,
     device: str = "auto",
     resampler: Resampler | None = None,
+    importance: np.ndarray | None = None,
 ) -> TrainState:
     """Train a soup on the scene's training views and return the state after the last step, the soup on the
     CPU.
@@ -56,17 +57,18 @@ def train(
     term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a
     dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
     start when it belongs to the same configuration. progress(step, text) is called after each step. device:
-    "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when a loss or the soup stops being
-    finite, InputError for a scene without training views or a foreign checkpoint.
+    "cpu", "cuda" or "auto" (cuda when there is one). resampler: None for DiffSoup's own. importance: of the
+    scene's points (n,), for the choice of the first triangles. Raises TrainingError when a loss or the soup
+    stops being finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
     term = term or NoTerm()
-    resampler = resampler or Resampler(
-        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+    resampler = resampler or plain_resampler(config)
+    state = resumed_state(checkpoint, config, term, backend) or start_state(
+        scene, config, backend, importance
     )
-    state = resumed_state(checkpoint, config, term, backend) or start_state(scene, config, backend)
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
         with state.timed("photometric"):
@@ -102,10 +104,12 @@ def train(
     return state
 
 
-def start_state(scene: Scene, config: RunConfig, backend: Backend) -> TrainState:
+def start_state(
+    scene: Scene, config: RunConfig, backend: Backend, importance: np.ndarray | None = None
+) -> TrainState:
     """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
-    soup = backend.to_device(initial_soup(scene.points, count, config.seed))
+    soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
     return TrainState(0, soup, soup_optimiser(soup))
 
 
