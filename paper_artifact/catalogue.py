@@ -81,6 +81,10 @@ SHAPES: tuple[Shape, ...] = (
     Shape("bowl_wide", "bowls", 2, (0, 1, 1), dimensions=(2,)),
 )
 
+# The strengths of the allocation's levers, which the paper does not print: the lowest mean tail of B4 in the
+# study allocation_search (sphere alone); notebook 13 compares. This line freezes them for B1–B5 and C5.
+PRIOR = AllocationConfig(protection=1.0, subdivided=0.1)
+
 CONDITIONS: tuple[Condition, ...] = (
     Condition("C0", "photometric loss only", "#555555"),
     Condition("C1", "matched persistence loss with recruitment", "#1f5fbf", LossConfig()),
@@ -95,19 +99,24 @@ CONDITIONS: tuple[Condition, ...] = (
     # Deferred in the paper; the definition is ours (see `paper_artifact.topology.curvature`).
     Condition("C4", "C1 with curvature-weighted terms", "#7d5ba6", LossConfig(curvature_weighted=True)),
     Condition(
-        "C5", "C1 with the spread prior B4", "#1e8449", LossConfig(), allocation=AllocationConfig(spread=3.0)
+        "C5", "C1 with the spread prior B4", "#1e8449", LossConfig(), allocation=replace(PRIOR, spread=3.0)
     ),
     Condition("C6", "C1 without recruitment", "#b7950b", LossConfig(recruitment=False)),
     Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#6fa8dc", LossConfig(noise=0.005)),
     Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#a9cce3", LossConfig(noise=0.01)),
     # The allocation study's arms (App. A); its baseline B0 is C0.
+    Condition("B1", "B2 for the first triangles only", "#a6761d", allocation=replace(PRIOR, levers="start")),
+    Condition("B2", "concentrated topological prior", "#7570b3", allocation=PRIOR),
     Condition(
-        "B1", "B2 for the first triangles only", "#a6761d", allocation=AllocationConfig(levers="start")
+        "B3", "random centres, as narrow as B2", "#bcbddc", allocation=replace(PRIOR, centres="random")
     ),
-    Condition("B2", "concentrated topological prior", "#7570b3", allocation=AllocationConfig()),
-    Condition("B3", "random centres, as narrow as B2", "#bcbddc", allocation=AllocationConfig("random")),
-    Condition("B4", "spread topological prior", "#1b9e77", allocation=AllocationConfig(spread=3.0)),
-    Condition("B5", "random centres, as wide as B4", "#a1d99b", allocation=AllocationConfig("random", 3.0)),
+    Condition("B4", "spread topological prior", "#1b9e77", allocation=replace(PRIOR, spread=3.0)),
+    Condition(
+        "B5",
+        "random centres, as wide as B4",
+        "#a1d99b",
+        allocation=replace(PRIOR, centres="random", spread=3.0),
+    ),
 )
 
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
@@ -131,15 +140,21 @@ def get_condition(name: str) -> Condition:
     return rows[name]
 
 
-def colour_of(condition: str) -> str:
-    """Return the condition's colour in every figure; grey for a tag that only the paper has."""
-    return next((each.colour for each in CONDITIONS if each.name == condition), "#999999")
+def tag_of(arm: str) -> str:
+    """Return the condition's tag of an arm's name: "C1" for "C1, rho=0.03", C1 with a changed setting."""
+    return arm.partition(", ")[0]
+
+
+def colour_of(arm: str) -> str:
+    """Return the colour of an arm's condition in every figure; grey for a tag that only the paper has."""
+    return next((each.colour for each in CONDITIONS if each.name == tag_of(arm)), "#999999")
 
 
 def in_order(names: Sequence[str]) -> list[str]:
-    """Return condition tags in the order of the tables; tags that are not in the catalogue last, by name."""
+    """Return arms in the order of the tables: by their conditions' rows, changed settings behind the
+    condition's own; tags that are not in the catalogue last, by name."""
     order = {each.name: place for place, each in enumerate(CONDITIONS)}
-    return sorted(names, key=lambda name: (order.get(name, len(order)), name))
+    return sorted(names, key=lambda name: (order.get(tag_of(name), len(order)), name))
 
 
 def study_config(

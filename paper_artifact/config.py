@@ -50,6 +50,7 @@ class LossConfig:
     samples: int = 2048  # M: points of the live cloud and of the target bundle
     dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant target bar
     bundle_seed: int = 0  # of the target bundle's samples
+    calibration_batches: int = 1  # batches whose gradient norms are averaged when λ is set; paper: one
     refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
     floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
     fallback: str = "detach"  # for a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
@@ -64,7 +65,8 @@ class LossConfig:
             _positive(self, name)
         if not 0 <= self.noise < math.inf:
             raise InputError(f"noise must not be negative, got {self.noise}")
-        for name, least in {"samples": 4, "bundle_seed": 0, "refresh_every": 0}.items():
+        lowest = {"samples": 4, "bundle_seed": 0, "calibration_batches": 1, "refresh_every": 0}
+        for name, least in lowest.items():
             _at_least(self, name, least)
         if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
@@ -78,15 +80,13 @@ class LossConfig:
 class AllocationConfig:
     """A prior of the allocation study: where triangles are kept and made (paper App. A).
 
-    Raises InputError for a value out of range. `protection` and `subdivided` are not in the paper: they were
-    searched on the sphere alone, then frozen.
+    Raises InputError for a value out of range. `protection` and `subdivided` are not in the paper; the values
+    of the study stand in `paper_artifact.catalogue.PRIOR`, these defaults never change.
     """
 
-    # kernels at birth and death vertices; "random": drawn on the surface per seed
-    centres: str = "topological"
+    centres: str = "topological"  # at birth and death vertices; "random": drawn on the surface per seed
     spread: float = 1.0  # s: widens each kernel at constant mass; 1 concentrated (B2), 3 spread (B4)
-    # "resampling": protect and respawn (B2–B5); "start": only the first triangles (B1)
-    levers: str = "resampling"
+    levers: str = "resampling"  # protect and respawn (B2–B5); "start": only the first triangles (B1)
     protection: float = 1.0  # λ of the prune order: visible pixels + λ · Q.9(visible pixels) · importance
     subdivided: float = 0.1  # share of the budget that is subdivided at a resampling, most important first
     samples: int = 2048  # M of the target bundle whose features make the field

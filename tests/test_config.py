@@ -57,6 +57,7 @@ from paper_artifact.record.store import config_hash
         ({"condition": "C0", "loss": {"rho": 1.0}}, "condition C0 has no loss, so it takes no loss settings"),
         ({"condition": "C9"}, "unknown condition 'C9'; choose one of C0, C1"),
         ({"condition": "B6"}, "unknown condition 'B6'"),
+        ({"loss": {"calibration_batches": 0}}, "calibration_batches must be at least 1"),
         ({"allocation": {"spread": 2.0}}, "condition C1 has no allocation"),
         ({"condition": "B2", "allocation": {"spread": 0.0}}, "spread must be positive"),
         ({"condition": "B2", "allocation": {"spread": -1}}, "spread must be positive"),

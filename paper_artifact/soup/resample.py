@@ -1,9 +1,9 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
 Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with
-long screen-space edges are split (DiffSoup's resampling). Two hooks let an allocation prior enter as weights
-without touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning,
-`split_weight` chooses among the visible triangles to split.
+long screen-space edges are split (DiffSoup's resampling). Three hooks let an allocation prior enter without
+touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning, `split_weight`
+chooses among the visible triangles to split, `respawn` names triangles to halve at an unchanged final count.
 """
 
 from __future__ import annotations
@@ -60,8 +60,7 @@ class Resampler:
     split_height: float = 0.2  # fraction of the image height above which an edge is long
     prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
     split_weight: SplitWeight = all_visible  # hook: which triangles may be split
-    # hook: which triangles are halved whatever their size, at equal budget
-    respawn: RespawnChoice | None = None
+    respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
 
     def due(self, step: int, steps: int) -> bool:
         """Return whether `step` (1-based) of `steps` ends with a resampling."""
@@ -83,7 +82,9 @@ class Resampler:
         if step < self.split_until * steps:
             views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
             split = self._split(soup, world_to_clip[views], *half)
-            if self.respawn is not None:
+            if (
+                self.respawn is not None
+            ):  # the plain rule's count is the cap: halves displace the least worthy
                 counts = visible_pixels(soup, world_to_clip, *half).sum(0)
                 halved = self._respawned(soup, self.respawn(_corners(soup), counts > 0))
                 more = self._split(halved, world_to_clip[views], *half)

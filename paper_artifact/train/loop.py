@@ -69,16 +69,20 @@ def train(
     state = resumed_state(checkpoint, config, term, backend) or start_state(
         scene, config, backend, importance
     )
+
+    def photometric(step: int) -> float:
+        views = batch_views(scene.train, config.batch, config.seed, step)
+        keys = [view_key(config.seed, step, int(view)) for view in views]
+        return backend.photometric_step(state.soup, views, keys)
+
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
         with state.timed("photometric"):
-            views = batch_views(scene.train, config.batch, config.seed, step)
-            keys = [view_key(config.seed, step, int(view)) for view in views]
-            loss = backend.photometric_step(state.soup, views, keys)
+            loss = photometric(step)
         state.check_loss(loss, config)
         state.losses.append(loss)
         with state.timed("topology"):
-            add_term(term, state)
+            add_term(term, state, photometric)
         with state.timed("optimiser"):
             state.optimiser.step(learning_rates(config, float(scene.radius), step))
             state.check_vertices(config)
@@ -113,13 +117,23 @@ def start_state(
     return TrainState(0, soup, soup_optimiser(soup))
 
 
-def add_term(term: LossTerm, state: TrainState) -> None:
-    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite."""
+def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
+    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite.
+
+    photometric(step) sets the soup's gradients to those of that step's batch.
+    """
     soup = state.soup
 
-    def photo_norm() -> float:
-        gradient = soup.vertices.grad
-        return 0.0 if gradient is None else float(gradient.norm())
+    def photo_norm(batches: int = 1) -> float:
+        """Mean norm of the vertices' gradient over this step's batch and those of the next steps."""
+        own = [tensor.grad for tensor in soup.tensors()]
+        norms = [0.0 if soup.vertices.grad is None else float(soup.vertices.grad.norm())]
+        for later in range(1, batches):
+            photometric(state.step + later)
+            norms.append(float(soup.vertices.grad.norm()))
+        for tensor, gradient in zip(soup.tensors(), own, strict=True):
+            tensor.grad = gradient
+        return sum(norms) / len(norms)
 
     term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
     extra = term.value(state.step, soup.vertices, photo_norm)
