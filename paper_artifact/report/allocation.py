@@ -23,7 +23,7 @@ from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.render import render_flat
 from paper_artifact.report.kit.tables import beside
-from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text
+from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, range_text
 from paper_artifact.sampling import face_areas
 from paper_artifact.scene.find import surface
 from paper_artifact.study.verdict import Verdict, verdict, welch_sigma
@@ -207,7 +207,7 @@ def verdict_table(collected: Collected) -> pd.DataFrame:
             known = all((shape, name) in means.index for name in (arm, control))
             rows[shape, f"{arm} vs {control}: {question}"] = {
                 "ours": judged.outcome,
-                "range to control's": _lies(judged, control),
+                "range to control's": range_text(*reversed(pair)) if len(pair) == 2 else "",
                 "Welch": "" if sigma is None else f"{sigma:.1f}",
                 "Welch, paper": printed,
                 "paper's means": " / ".join(means["printed"][shape, name] for name in (arm, control))
@@ -232,13 +232,6 @@ def start_text(collected: Collected, shape: str = "sphere") -> str:
     theirs = " against ".join(printed[shape, name] for name in ("B1", BASELINE))
     welch = "" if sigma is None else f", Welch {abs(sigma):.1f}"
     return f"B1 on the {shape}: {means}{welch} (paper {theirs})"
-
-
-def _lies(judged: Verdict, control: str) -> str:
-    if control not in judged.below:
-        return ""
-    side = "below" if judged.below[control] else "above"
-    return side if judged.disjoint[control] else f"overlaps, mean {side}"
 
 
 def _judged(collected: Collected, arm: str, control: str) -> dict[str, Verdict]:

@@ -1,4 +1,5 @@
-"""Notebooks 03, 07, 10: measurements that take too long for a notebook, kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 07, 10, 14: measurements that take too long for a notebook, kept in
+`results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -27,6 +28,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others",
     ),
     "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "perfect": (
+        "measure_perfect",
+        "the score of a perfect surface: the ground truth sampled again, against the target, 20 seeds",
+    ),
     "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
