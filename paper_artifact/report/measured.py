@@ -32,6 +32,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_perfect",
         "the score of a perfect surface: the ground truth sampled again, against the target, 20 seeds",
     ),
+    "speed": (
+        "measure_speed",
+        "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
+    ),
     "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
@@ -50,6 +54,11 @@ def write(name: str, folder: Path | str = MEASURED, progress: Callable[[str], No
     table, path = getattr(module, MEASUREMENTS[name][0])(progress=progress), Path(folder) / f"{name}.csv"
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     return path
+
+
+def find(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:
+    """Return the stored measurement `name`, an empty table where it has not been made yet."""
+    return read(name, folder) if (Path(folder) / f"{name}.csv").is_file() else pd.DataFrame()
 
 
 def read(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:
