@@ -185,8 +185,10 @@ def test_c5_beside_both_channels_alone(folder):
     assert table.loc[("sphere", "C1 / C5")].tolist() == ["2.0", "2"]
     assert table.loc[("sphere", "B4 / C5")].tolist() == ["4.1", "4.4"]
     assert table.loc["sphere"].iloc[3]["ours"].startswith("pass: C5 .0080-.0100 is below C0")
-    assert table.loc[("sphere", "lowest Chamfer %"), "ours"].startswith("C5 .450, C3 .460")
-    assert table.loc[("torus", "lowest Chamfer %"), "paper"] == "C3 .495, C5 .502"
+    assert table.loc[("sphere", "Chamfer % of C5")].tolist() == ["0.450", ""]
+    place = table.xs("place of that Chamfer, 1 the lowest", level="RH3")
+    assert place.loc["sphere", "ours"].startswith("1 (C5, C3, ") and place["paper"].tolist() == ["1", "2"]
+    assert table.loc[("torus", "Chamfer % of C5"), "paper"] == ".502"
     assert table.loc[("torus", "C0 / C5")].tolist() == ["not recorded", "3.2"]
 
 

@@ -47,15 +47,16 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
 
 def composition_table(collected: Collected, shapes: Sequence[str] = ("sphere", "torus")) -> pd.DataFrame:
     """Return what the paper says of C5 (RH3), ours beside the paper's: how many times lower its tail is than
-    the baseline's, the loss's and the prior's alone, the study's verdict against both channels alone, and
-    the arms of lowest Chamfer (%, mean of both directions).
+    the baseline's, the loss's and the prior's alone, the study's verdict against both channels alone, its
+    Chamfer (%, mean of both directions), and that one's place among Table 1's arms.
 
     collected: has Table 1's arms and B4.
     """
     arms = frames.arms(collected).dropna(subset="mean").set_index(frames.ARM)
     quoted = frames.paper("tail_ratio", "ablations").set_index(frames.ARM)["printed"]
     printed = frames.paper_arms("tail_bottleneck", "1").set_index(frames.ARM)["ratio"]
-    chamfers = frames.paper_arms("chamfer_percent", "chamfer").set_index(frames.ARM)
+    chamfers = frames.paper_arms("chamfer_percent", "chamfer").set_index(frames.ARM)["printed"]
+    places = frames.paper("chamfer_place", "ablations").set_index(frames.ARM)["printed"]
     judged = verdict(frames.runs(collected), (LOSS, PRIOR_ALONE), COMPOSITION)
     rows = {}
     for shape in shapes:
@@ -72,19 +73,19 @@ def composition_table(collected: Collected, shapes: Sequence[str] = ("sphere", "
         found = judged.get(shape)
         said = NOT_RECORDED if found is None else f"{found.outcome}: {found.reason}"
         rows[shape, alone] = {"ours": said, "paper": "best everywhere tested"}
-        rows[shape, "lowest Chamfer %"] = {
-            "ours": _lowest(100 * arms["chamfer"][shape]) if len(means) else NOT_RECORDED,
-            "paper": _lowest(chamfers["value"][shape], chamfers["printed"][shape])
-            if shape in chamfers.index
-            else "",
+        known = COMPOSITION in means.index
+        own = arms["chamfer"][shape].drop(PRIOR_ALONE, errors="ignore").sort_values() if known else None
+        rows[shape, f"Chamfer % of {COMPOSITION}"] = {
+            "ours": f"{100 * own[COMPOSITION]:.3f}" if known else NOT_RECORDED,
+            "paper": chamfers.get((shape, COMPOSITION), ""),
         }
-    return pd.DataFrame.from_dict(rows, orient="index")
-
-
-def _lowest(chamfers: pd.Series, printed: pd.Series | None = None, count: int = 3) -> str:
-    """Return the arms of lowest Chamfer, the best first: "C5 .480, C1 .490, C3 .495"."""
-    texts = chamfers.map("{:.3f}".format) if printed is None else printed
-    return ", ".join(f"{name} {texts[name].lstrip('0')}" for name in chamfers.sort_values().index[:count])
+        rows[shape, "place of that Chamfer, 1 the lowest"] = {
+            "ours": f"{own.index.get_loc(COMPOSITION) + 1} ({', '.join(own.index)})"
+            if known
+            else NOT_RECORDED,
+            "paper": places.get((shape, COMPOSITION), ""),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["shape", "RH3"])
 
 
 def component_table(collected: Collected, shape: str) -> pd.DataFrame:
