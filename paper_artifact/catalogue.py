@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from paper_artifact.config import STEPS_OF_THE_STUDY, LossConfig, RunConfig, with_changes
+from paper_artifact.config import STEPS_OF_THE_STUDY, AllocationConfig, LossConfig, RunConfig, with_changes
 from paper_artifact.errors import InputError
 
 Axis = tuple[float, float, float]
@@ -50,6 +50,7 @@ class Condition:
     description: str
     colour: str  # in every figure: grey baseline, blue loss and its variants, red controls
     loss: LossConfig | None = None  # what it adds; None: nothing, and no code of the topology package is run
+    allocation: AllocationConfig | None = None  # the prior of its resampling; None: DiffSoup's own
 
 
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -80,6 +81,10 @@ SHAPES: tuple[Shape, ...] = (
     Shape("bowl_wide", "bowls", 2, (0, 1, 1), dimensions=(2,)),
 )
 
+# The strengths of the allocation's levers, which the paper does not print: the lowest mean tail of B4 in the
+# study allocation_search (sphere alone); notebook 13 compares. This line freezes them for B1–B5 and C5.
+PRIOR = AllocationConfig(protection=1.0, subdivided=0.1)
+
 CONDITIONS: tuple[Condition, ...] = (
     Condition("C0", "photometric loss only", "#555555"),
     Condition("C1", "matched persistence loss with recruitment", "#1f5fbf", LossConfig()),
@@ -93,9 +98,25 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("C3", "C1 without the ramp", "#2e9cca", LossConfig(ramp=None)),
     # Deferred in the paper; the definition is ours (see `paper_artifact.topology.curvature`).
     Condition("C4", "C1 with curvature-weighted terms", "#7d5ba6", LossConfig(curvature_weighted=True)),
+    Condition(
+        "C5", "C1 with the spread prior B4", "#1e8449", LossConfig(), allocation=replace(PRIOR, spread=3.0)
+    ),
     Condition("C6", "C1 without recruitment", "#b7950b", LossConfig(recruitment=False)),
     Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#6fa8dc", LossConfig(noise=0.005)),
     Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#a9cce3", LossConfig(noise=0.01)),
+    # The allocation study's arms (App. A); its baseline B0 is C0.
+    Condition("B1", "B2 for the first triangles only", "#a6761d", allocation=replace(PRIOR, levers="start")),
+    Condition("B2", "concentrated topological prior", "#7570b3", allocation=PRIOR),
+    Condition(
+        "B3", "random centres, as narrow as B2", "#bcbddc", allocation=replace(PRIOR, centres="random")
+    ),
+    Condition("B4", "spread topological prior", "#1b9e77", allocation=replace(PRIOR, spread=3.0)),
+    Condition(
+        "B5",
+        "random centres, as wide as B4",
+        "#a1d99b",
+        allocation=replace(PRIOR, centres="random", spread=3.0),
+    ),
 )
 
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
@@ -112,29 +133,28 @@ def shapes_of(*groups: str) -> tuple[str, ...]:
 
 
 def get_condition(name: str) -> Condition:
-    """Return the row of that tag. Raises InputError for an unknown one, C5 among them, and as `check`
-    does."""
+    """Return the row of that tag. Raises InputError for an unknown one, and as `check` does."""
     rows = check(CONDITIONS, "condition")
-    if name in rows:
-        return rows[name]
-    known = ", ".join(rows)
-    if name == "C5":
-        raise InputError(
-            "condition C5 is C1 plus the allocation prior, which is not part of this version; "
-            f"choose one of {known}"
-        )
-    raise InputError(f"unknown condition {name!r}; choose one of {known}")
+    if name not in rows:
+        raise InputError(f"unknown condition {name!r}; choose one of {', '.join(rows)}")
+    return rows[name]
 
 
-def colour_of(condition: str) -> str:
-    """Return the condition's colour in every figure; grey for a tag that only the paper has."""
-    return next((each.colour for each in CONDITIONS if each.name == condition), "#999999")
+def tag_of(arm: str) -> str:
+    """Return the condition's tag of an arm's name: "C1" for "C1, rho=0.03", C1 with a changed setting."""
+    return arm.partition(", ")[0]
+
+
+def colour_of(arm: str) -> str:
+    """Return the colour of an arm's condition in every figure; grey for a tag that only the paper has."""
+    return next((each.colour for each in CONDITIONS if each.name == tag_of(arm)), "#999999")
 
 
 def in_order(names: Sequence[str]) -> list[str]:
-    """Return condition tags in the order of the tables; tags that are not in the catalogue last, by name."""
+    """Return arms in the order of the tables: by their conditions' rows, changed settings behind the
+    condition's own; tags that are not in the catalogue last, by name."""
     order = {each.name: place for place, each in enumerate(CONDITIONS)}
-    return sorted(names, key=lambda name: (order.get(name, len(order)), name))
+    return sorted(names, key=lambda name: (order.get(tag_of(name), len(order)), name))
 
 
 def study_config(
@@ -143,39 +163,38 @@ def study_config(
     seed: int = 0,
     *,
     loss: Mapping[str, Any] | None = None,
+    allocation: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> RunConfig:
-    """Return the study's configuration of one run: the shape's row, the condition's definition, dump steps
-    that fit the steps.
+    """Return the study's configuration of one run: the shape's row and the condition's definition.
 
-    loss: changes to the condition's LossConfig; changes: to the RunConfig. With other than 2,500 steps the
-    dump steps scale with them. Raises InputError for unknown names, values out of range, or loss settings for
-    a condition that adds no loss.
+    loss, allocation: changes to the condition's LossConfig and AllocationConfig; changes: to the RunConfig.
+    With other than 2,500 steps the dump steps scale with them. Raises InputError for unknown names, values
+    out of range, or settings of a part that the condition does not have.
     """
-    row, definition = shape_row(shape), get_condition(condition).loss
-    if loss and definition is None:
-        raise InputError(
-            f"condition {condition} adds no loss, so it takes no loss settings ({', '.join(loss)})"
-        )
+    row, definition = shape_row(shape), get_condition(condition)
     settings: dict[str, Any] = {"condition": condition, "seed": seed}
     if row is not None:
         settings["budget"] = row.budget
     config = RunConfig(shape)
-    if (
-        (steps := changes.get("steps", config.steps)) != STEPS_OF_THE_STUDY
-        and isinstance(steps, int)
-        and steps > 0
-    ):
+    steps = changes.get("steps", STEPS_OF_THE_STUDY)
+    if steps != STEPS_OF_THE_STUDY and isinstance(steps, int) and steps > 0:
         scaled = {max(1, round(step * steps / STEPS_OF_THE_STUDY)) for step in config.dump_steps}
         changes = {"dump_steps": tuple(sorted(scaled))} | changes
         config = replace(config, dump_steps=())  # none is beyond the end while the fields are set one by one
     config = with_changes(config, settings | changes)
-    if definition is None:
-        return config
-    own = (
-        {} if row is None else {name: getattr(row, name) for name in ("samples", "dimensions", "bundle_seed")}
-    )
-    return replace(config, loss=with_changes(definition, own | dict(loss or {})))
+    parts = {}
+    for name, asked in (("loss", loss or {}), ("allocation", allocation or {})):
+        part = getattr(definition, name)
+        if asked and part is None:
+            raise InputError(
+                f"condition {condition} has no {name}, so it takes no {name} settings ({', '.join(asked)})"
+            )
+        if part is not None:
+            shared = {field.name for field in fields(part)} & {"samples", "dimensions", "bundle_seed"}
+            own = {} if row is None else {name: getattr(row, name) for name in shared}
+            parts[name] = with_changes(part, own | dict(asked))
+    return replace(config, **parts)
 
 
 def check(rows: Sequence[Any], word: str) -> dict[str, Any]:

@@ -22,6 +22,8 @@ DEFAULTS_VERSION = 1
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
 KINDS = ("topology", "repulsion")
+CENTRES = ("topological", "random")
+LEVERS = ("resampling", "start")
 FLOOR_SOURCES = ("bundle", "live")
 FALLBACKS = ("detach", "drop", "subgradient", "denser")
 METHODS = ("fast", "gudhi")
@@ -48,6 +50,7 @@ class LossConfig:
     samples: int = 2048  # M: points of the live cloud and of the target bundle
     dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant target bar
     bundle_seed: int = 0  # of the target bundle's samples
+    calibration_batches: int = 1  # batches whose gradient norms are averaged when λ is set; paper: one
     refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
     floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
     fallback: str = "detach"  # for a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
@@ -62,7 +65,8 @@ class LossConfig:
             _positive(self, name)
         if not 0 <= self.noise < math.inf:
             raise InputError(f"noise must not be negative, got {self.noise}")
-        for name, least in {"samples": 4, "bundle_seed": 0, "refresh_every": 0}.items():
+        lowest = {"samples": 4, "bundle_seed": 0, "calibration_batches": 1, "refresh_every": 0}
+        for name, least in lowest.items():
             _at_least(self, name, least)
         if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
@@ -70,6 +74,34 @@ class LossConfig:
             raise InputError(
                 f"dimensions must be some of 0, 1, 2, or None for the significant ones, got {self.dimensions}"
             )
+
+
+@dataclass(frozen=True)
+class AllocationConfig:
+    """A prior of the allocation study: where triangles are kept and made (paper App. A).
+
+    Raises InputError for a value out of range. `protection` and `subdivided` are not in the paper; the values
+    of the study stand in `paper_artifact.catalogue.PRIOR`, these defaults never change.
+    """
+
+    centres: str = "topological"  # at birth and death vertices; "random": drawn on the surface per seed
+    spread: float = 1.0  # s: widens each kernel at constant mass; 1 concentrated (B2), 3 spread (B4)
+    levers: str = "resampling"  # protect and respawn (B2–B5); "start": only the first triangles (B1)
+    protection: float = 1.0  # λ of the prune order: visible pixels + λ · Q.9(visible pixels) · importance
+    subdivided: float = 0.1  # share of the budget that is subdivided at a resampling, most important first
+    samples: int = 2048  # M of the target bundle whose features make the field
+    bundle_seed: int = 0  # of that bundle's samples
+
+    def __post_init__(self) -> None:
+        _one_of("allocation centres", self.centres, CENTRES)
+        _one_of("allocation levers", self.levers, LEVERS)
+        _positive(self, "spread")
+        if not 0 <= self.protection < math.inf:
+            raise InputError(f"protection must not be negative, got {self.protection}")
+        if not 0 <= self.subdivided <= 1:
+            raise InputError(f"subdivided must be a share from 0 to 1, got {self.subdivided}")
+        for name, least in {"samples": 4, "bundle_seed": 0}.items():
+            _at_least(self, name, least)
 
 
 @dataclass(frozen=True)
@@ -97,6 +129,7 @@ class RunConfig:
     dump_steps: tuple[int, ...] = DUMP_STEPS  # that are evaluated, after their resampling
     samples: int = 20_000  # surface samples of an evaluation
     loss: LossConfig | None = None  # None: photometric loss only (C0)
+    allocation: AllocationConfig | None = None  # None: DiffSoup's own resampling
 
     def __post_init__(self) -> None:
         lowest = {
@@ -134,7 +167,9 @@ class RunConfig:
             raise InputError("refresh_every must be at least 1 in a run, got 0")
 
 
-Config = TypeVar("Config", LossConfig, RunConfig)
+Config = TypeVar("Config", LossConfig, AllocationConfig, RunConfig)
+# fields of a RunConfig that are configurations themselves
+PARTS = {"loss": LossConfig, "allocation": AllocationConfig}
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -165,12 +200,13 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     return parsed
 
 
-def config_values(config: LossConfig | RunConfig) -> dict[str, Any]:
+def config_values(config: LossConfig | AllocationConfig | RunConfig) -> dict[str, Any]:
     """Return the configuration as a nested dict of all its fields, tuples kept."""
     values = {field.name: getattr(config, field.name) for field in fields(config)}
-    if isinstance(config, RunConfig) and config.loss is not None:
-        values["loss"] = config_values(config.loss)
-    return values
+    return {
+        name: config_values(value) if name in PARTS and value is not None else value
+        for name, value in values.items()
+    }
 
 
 def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> RunConfig:
@@ -181,11 +217,14 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
     version.
     """
     given = dict(values)
-    loss = given.pop("loss", None)
+    parts = {name: given.pop(name, None) for name in PARTS}
     run = with_changes(RunConfig(given.pop("shape", "")), {**_former(version, ""), **given})
-    if loss is None:
-        return run
-    return replace(run, loss=with_changes(LossConfig(), {**_former(version, "loss."), **loss}))
+    made = {
+        name: with_changes(PARTS[name](), {**_former(version, f"{name}."), **part})
+        for name, part in parts.items()
+        if part is not None
+    }
+    return replace(run, **made)
 
 
 def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
@@ -193,9 +232,10 @@ def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, An
     defaults."""
     named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
     values = {"defaults": version} | _differing(config, config_from({"shape": ""}, version)) | named
-    values.pop("loss", None)
-    if config.loss is not None:
-        values["loss"] = _differing(config.loss, with_changes(LossConfig(), _former(version, "loss.")))
+    for name, kind in PARTS.items():
+        values.pop(name, None)
+        if (part := getattr(config, name)) is not None:
+            values[name] = _differing(part, with_changes(kind(), _former(version, f"{name}.")))
     return values
 
 
@@ -214,7 +254,7 @@ def _former(version: int, prefix: str) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for later in range(DEFAULTS_VERSION - 1, version - 1, -1):  # the oldest statement that still holds wins
         changed |= FORMER_DEFAULTS.get(later, {})
-    own = {name: value for name, value in changed.items() if name.startswith("loss.") == bool(prefix)}
+    own = {name: value for name, value in changed.items() if name.rpartition(".")[0] == prefix.rstrip(".")}
     return {name.removeprefix(prefix): value for name, value in own.items()}
 
 
@@ -246,7 +286,7 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
             and all(type(x) is item for x in value)
         )
     else:
-        good = value is None or isinstance(value, LossConfig)
+        good = value is None or isinstance(value, tuple(PARTS.values()))
     if not good:
         word = kind.__name__ if kind in (int, float, bool, str) else text
         raise InputError(f"{name} takes a value of kind {word}, got {value!r}")

@@ -10,24 +10,33 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from paper_artifact.config import RunConfig
+import numpy as np
+
+from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
 from paper_artifact.files import RESULTS
 from paper_artifact.mesh import Mesh, mesh_hash
+from paper_artifact.randomness import stream
 from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
+from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.render import render_views
+from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 
 if TYPE_CHECKING:
     from paper_artifact.topology.bundle import Bundle
+    from paper_artifact.topology.importance import ImportanceField
     from paper_artifact.topology.term import TopologyTerm
+
+DENSE = 20_000  # points of the target surface that hold an importance field
 
 
 def make_run_term(config: RunConfig, mesh: Mesh) -> tuple[TopologyTerm | None, Bundle | None]:
@@ -47,6 +56,42 @@ def make_run_term(config: RunConfig, mesh: Mesh) -> tuple[TopologyTerm | None, B
         dimensions=loss.dimensions,
     )
     return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
+
+
+def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: Mesh) -> ImportanceField:
+    """Return the importance field of a run's allocation on the target mesh.
+
+    Random centres are drawn on the surface with the run's seed, of the same number, weights and widths (arms
+    B3, B5).
+    """
+    from paper_artifact.topology.importance import feature_kernels, importance_field
+
+    def sample(count: int, generator: np.random.Generator) -> np.ndarray:
+        return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
+
+    points = sample(allocation.samples, stream(allocation.bundle_seed, "bundle-samples"))
+    kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
+    if allocation.centres == "random":
+        draws = stream(config.seed, "allocation-centres")
+        kernels = [each.moved(sample(len(each.centres), draws)) for each in kernels]
+    return importance_field(kernels, sample(DENSE, stream(0, "allocation-dense")))
+
+
+def make_run_allocation(
+    config: RunConfig, mesh: Mesh, points: np.ndarray
+) -> tuple[Resampler | None, np.ndarray | None]:
+    """Return what an allocation gives to the trainer: a resampler, or the importance of the scene's points
+    (n,3).
+
+    (None, None), without any import, for a configuration without allocation.
+    """
+    allocation = config.allocation
+    if allocation is None:
+        return None, None
+    importance = make_run_importance(config, allocation, mesh)
+    if allocation.levers == "start":
+        return None, importance(points)
+    return allocating_resampler(config, allocation, importance), None
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
@@ -83,6 +128,7 @@ def run(
         ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     target = make_target(mesh, config.samples, cache=results / "targets")
+    resampler, importance = make_run_allocation(config, mesh, scene.points)
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
     cpu = time.process_time()
 
@@ -91,7 +137,15 @@ def run(
         return evaluate_soup(corners, opacity, target, config.seed, step) | {"triangles": len(soup)}
 
     state = train(
-        scene, config, term=term, evaluate=evaluate, checkpoint=checkpoint, progress=progress, device=device
+        scene,
+        config,
+        term=term,
+        evaluate=evaluate,
+        checkpoint=checkpoint,
+        progress=progress,
+        device=device,
+        resampler=resampler,
+        importance=importance,
     )
     holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.colours(scene.holdout))
     sections: dict[str, Any] = {

@@ -21,11 +21,11 @@ BETTI = {
 
 
 def study_record(
-    shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None
+    shape: str, condition: str, seed: int, tail: float, chamfer: float = 0.005, counts=None, **changes
 ) -> dict:
     """Return a finished record whose tail is `tail` in the shape's discriminating dimension and .001 in
-    the others."""
-    config, row = study_config(shape, condition, seed), shape_row(shape)
+    the others; changes: as of `study_config`."""
+    config, row = study_config(shape, condition, seed, **changes), shape_row(shape)
     dimension = row.judged
     counts = list(counts or row.features)
     dumps = [

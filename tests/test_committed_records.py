@@ -40,7 +40,7 @@ def test_record(path: Path, study_runs):
     )
     # The dumps after the first resampling hold the budget, but for the splits since.
     assert all(dump["triangles"] <= 1.1 * record["config"]["budget"] for dump in dumps)
-    if record["config"]["condition"] != "C0":
+    if record["config"]["loss"] is not None:
         refreshes = [entry for entry in record["topology"] if entry["event"] == "refresh"]
         assert (
             len([entry for entry in record["topology"] if entry["event"] == "lambda"]) == 1

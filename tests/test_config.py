@@ -54,12 +54,16 @@ from paper_artifact.record.store import config_hash
         ({"loss": {"fallback": "ignore"}}, "unknown Gabriel fallback 'ignore'"),
         ({"loss": {"kind": "love"}}, "unknown loss kind 'love'"),
         ({"loss": {"recruitment": 1}}, "recruitment takes a value of kind bool"),
-        (
-            {"condition": "C0", "loss": {"rho": 1.0}},
-            "condition C0 adds no loss, so it takes no loss settings",
-        ),
+        ({"condition": "C0", "loss": {"rho": 1.0}}, "condition C0 has no loss, so it takes no loss settings"),
         ({"condition": "C9"}, "unknown condition 'C9'; choose one of C0, C1"),
-        ({"condition": "C5"}, "C1 plus the allocation prior"),
+        ({"condition": "B6"}, "unknown condition 'B6'"),
+        ({"loss": {"calibration_batches": 0}}, "calibration_batches must be at least 1"),
+        ({"allocation": {"spread": 2.0}}, "condition C1 has no allocation"),
+        ({"condition": "B2", "allocation": {"spread": 0.0}}, "spread must be positive"),
+        ({"condition": "B2", "allocation": {"spread": -1}}, "spread must be positive"),
+        ({"condition": "B2", "allocation": {"subdivided": 1.5}}, "subdivided must be a share from 0 to 1"),
+        ({"condition": "B2", "allocation": {"protection": -1.0}}, "protection must not be negative"),
+        ({"condition": "B2", "allocation": {"centres": "none"}}, "unknown allocation centres 'none'"),
     ],
 )
 def test_a_configuration_out_of_range_is_refused(changes, words):
@@ -155,6 +159,7 @@ def test_a_new_field_renames_no_run(monkeypatch):
     for module in (config, catalogue):
         monkeypatch.setattr(module, "LossConfig", wider_loss)
         monkeypatch.setattr(module, "RunConfig", wider_run)
+    monkeypatch.setitem(config.PARTS, "loss", wider_loss)
     wide = config_from(old)
     assert (wide.mood, wide.loss.colour) == (3, "red") and config_hash(wide) == before
     assert config_hash(replace(wide, mood=4)) != before

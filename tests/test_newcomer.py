@@ -33,7 +33,7 @@ ROWS = (
     ("catalogue.py", "SHAPES", 'Shape("pebble", "analytic", 2, (0, 0, 1), 200, 1024, (2,)),'),
     ("catalogue.py", "CONDITIONS", 'Condition("C8", "C1 twice as strong", "#123456", LossConfig(rho=0.2)),'),
     ("scene/shapes.py", "SHAPES", '"pebble": pebble,'),
-    ("study/studies.py", "STUDIES", '"pebbles": ((("pebble",), ("C0", "C2", "C8"), range(1)),),'),
+    ("study/studies.py", "STUDIES", '"pebbles": (Block(("pebble",), ("C0", "C2", "C8"), range(1)),),'),
 )
 SETTINGS = {name: value for name, value in TINY.items() if name not in ("steps", "dump_steps", "budget")}
 SETTINGS |= {"steps": 20, "dump_steps": (10, 15, 20)}

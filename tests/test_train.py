@@ -187,6 +187,11 @@ class FakeTerm:
             photo_gradient_norm() == pytest.approx(float(vertices.grad.double().norm()), rel=1e-5)
             and photo_gradient_norm() > 0
         )
+        if step == 2:  # the mean over more batches leaves this step's gradients as they are
+            before = vertices.grad.clone()
+            one, two, three = (photo_gradient_norm(count) for count in (1, 2, 3))
+            assert two != one and 3 * three - 2 * two > 0 and three == photo_gradient_norm(3)
+            assert torch.equal(vertices.grad, before)
         if step == self.stop_at:
             raise KeyboardInterrupt
         self.total += float(vertices.detach().sum())

@@ -18,8 +18,10 @@ from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import label_axis
 from paper_artifact.report.kit.records import Collected, target_of
 from paper_artifact.report.kit.tables import beside
-from paper_artifact.report.kit.text import counts_text
-from paper_artifact.study.verdict import welch_sigma
+from paper_artifact.report.kit.text import NOT_RECORDED, counts_text
+from paper_artifact.study.verdict import BASELINE, LOSS, verdict, welch_sigma
+
+COMPOSITION, PRIOR_ALONE = "C5", "B4"  # the loss with the spread prior, and that prior alone
 
 
 def welch_table(collected: Collected) -> pd.DataFrame:
@@ -42,6 +44,49 @@ def chamfer_table(collected: Collected) -> pd.DataFrame:
     paper's text gives."""
     ours = (100 * frames.arms(collected).set_index(frames.ARM)["chamfer"]).dropna().map("{:.3f}".format)
     return beside(ours, frames.paper_arms("chamfer_percent", "chamfer").set_index(frames.ARM)["printed"])
+
+
+def composition_table(collected: Collected, shapes: Sequence[str] = ("sphere", "torus")) -> pd.DataFrame:
+    """Return what the paper says of C5 (RH3), ours beside the paper's: how many times lower its tail is than
+    the baseline's, the loss's and the prior's alone, the study's verdict against both channels alone, its
+    Chamfer (%, mean of both directions), and that one's place among Table 1's arms.
+
+    collected: has Table 1's arms and B4.
+    """
+    arms = frames.arms(collected).dropna(subset="mean").set_index(frames.ARM)
+    quoted = frames.paper("tail_ratio", "ablations").set_index(frames.ARM)["printed"]
+    printed = frames.paper_arms("tail_bottleneck", "1").set_index(frames.ARM)["ratio"]
+    chamfers = frames.paper_arms("chamfer_percent", "chamfer").set_index(frames.ARM)["printed"]
+    places = frames.paper("chamfer_place", "ablations").set_index(frames.ARM)["printed"]
+    judged = verdict(frames.runs(collected), (LOSS, PRIOR_ALONE), COMPOSITION)
+    rows = {}
+    for shape in shapes:
+        means = arms["mean"][shape] if shape in arms.index else pd.Series(dtype=float)
+        for other in (BASELINE, LOSS, PRIOR_ALONE):
+            known = {other, COMPOSITION} <= set(means.index)
+            rows[shape, f"{other} / {COMPOSITION}"] = {
+                "ours": f"{means[other] / means[COMPOSITION]:.1f}" if known else NOT_RECORDED,
+                "paper": printed[shape, COMPOSITION]
+                if other == BASELINE
+                else quoted.get((shape, f"{COMPOSITION} vs {other}"), ""),
+            }
+        alone = f"below {LOSS} and {PRIOR_ALONE} alone, ranges apart, Chamfer at parity?"
+        found = judged.get(shape)
+        said = NOT_RECORDED if found is None else f"{found.outcome}: {found.reason}"
+        rows[shape, alone] = {"ours": said, "paper": "best everywhere tested"}
+        known = COMPOSITION in means.index
+        own = arms["chamfer"][shape].drop(PRIOR_ALONE, errors="ignore").sort_values() if known else None
+        rows[shape, f"Chamfer % of {COMPOSITION}"] = {
+            "ours": f"{100 * own[COMPOSITION]:.3f}" if known else NOT_RECORDED,
+            "paper": chamfers.get((shape, COMPOSITION), ""),
+        }
+        rows[shape, "place of that Chamfer, 1 the lowest"] = {
+            "ours": f"{own.index.get_loc(COMPOSITION) + 1} ({', '.join(own.index)})"
+            if known
+            else NOT_RECORDED,
+            "paper": places.get((shape, COMPOSITION), ""),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["shape", "RH3"])
 
 
 def component_table(collected: Collected, shape: str) -> pd.DataFrame:
@@ -130,6 +175,7 @@ def seed_figure(collected: Collected, shapes: Sequence[str] = ()) -> Figure:
             if (shape, arm.condition) in paper.index:
                 printed = paper[shape, arm.condition]
                 axis.scatter(place, printed, color="black", marker="x", s=26, linewidths=1, zorder=4)
-        axis.set_xticks(range(len(own)), own["condition"])
+        names = [name.replace(", ", "\n").replace("=", "\n") for name in own["condition"]]
+        axis.set_xticks(range(len(own)), names)
         label_axis(axis, f"{shape}: tail bottleneck per seed (× the paper's mean)")
     return figure

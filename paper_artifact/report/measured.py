@@ -1,4 +1,4 @@
-"""Notebooks 03, 04, 07, 10: measurements too long for a notebook, kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 04, 06, 07, 10, 14, 15: long measurements, kept in `results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -38,6 +38,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
     "deviations": (
         "measure_deviations",
         "the repair gate without decay, and soups sampled with another mean of their opacities",
+    ),
+    "perfect": (
+        "measure_perfect",
+        "the score of a perfect surface: the ground truth sampled again, against the target, 20 seeds",
     ),
     "speed": (
         "measure_speed",

@@ -41,13 +41,14 @@ def farthest_points(points, count, first):
     return chosen
 
 
-def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
+def initial_soup(points: np.ndarray, count: int, seed: int, importance: np.ndarray | None = None) -> Soup:
     """Return a soup of min(count, n) triangles on points (n,3), world frame.
 
-    Two thirds of the points are a farthest-point subsample, one third is random among the rest. Each triangle
-    is equilateral with uniformly random orientation and circumradius .25 × the mean nearest-neighbour spacing
-    of the chosen points; logits start at zero. Raises InputError for fewer than two points or triangles,
-    points that are not finite, or points that all coincide.
+    Two thirds of the points are a farthest-point subsample, one third is random among the rest: uniformly, or
+    with probability proportional to `importance` (n,) >= 0 (arm B1 of the allocation study). Each triangle is
+    equilateral with uniformly random orientation and circumradius .25 × the mean nearest-neighbour spacing of
+    the chosen points; logits start at zero. Raises InputError for fewer than two points or triangles, points
+    that are not finite, or points that all coincide.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
@@ -63,7 +64,14 @@ def initial_soup(points: np.ndarray, count: int, seed: int) -> Soup:
     draws = stream(seed, "initial-soup")
     chosen = farthest_points(points, count - int(count * RANDOM_PART), int(draws.integers(len(points))))
     rest = np.setdiff1d(np.arange(len(points)), chosen)
-    chosen = np.concatenate([chosen, draws.permutation(rest)[: count - len(chosen)]])
+    if importance is None:
+        others = draws.permutation(rest)[: count - len(chosen)]
+    else:
+        # Gumbel's trick: the largest log w + G are a draw without replacement with probabilities proportional
+        # to w.
+        keys = np.log(np.maximum(importance[rest], np.finfo(np.float64).tiny)) + draws.gumbel(size=len(rest))
+        others = rest[np.argsort(-keys, kind="stable")[: count - len(chosen)]]
+    chosen = np.concatenate([chosen, others])
     centres = points[chosen]
     spacing = cKDTree(centres).query(centres, k=2)[0][:, 1].mean()
     if not spacing > 0:

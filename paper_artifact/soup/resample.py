@@ -1,9 +1,9 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
 Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with
-long screen-space edges are split (DiffSoup's resampling). Two hooks let an allocation prior enter as weights
-without touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning,
-`split_weight` chooses among the visible triangles to split.
+long screen-space edges are split (DiffSoup's resampling). Three hooks let an allocation prior enter without
+touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning, `split_weight`
+chooses among the visible triangles to split, `respawn` names triangles to halve at an unchanged final count.
 """
 
 from __future__ import annotations
@@ -14,16 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from paper_artifact.config import RunConfig
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import run_jobs
 from paper_artifact.raster.view import ViewRaster, to_clip
-from paper_artifact.soup.split import split_long_edges
+from paper_artifact.soup.split import bisected, split_long_edges
 from paper_artifact.soup.state import Soup
 
 # (corners (T,3,3), visible pixels (T,)) → priority (T,): the lowest goes first
 PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 # (corners (T,3,3), visible (T,) bool) → split (T,) bool
 SplitWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
+# (corners (T,3,3), visible (T,) bool) → indices (k,) of the triangles to halve
+RespawnChoice = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -57,6 +60,7 @@ class Resampler:
     split_height: float = 0.2  # fraction of the image height above which an edge is long
     prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
     split_weight: SplitWeight = all_visible  # hook: which triangles may be split
+    respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
 
     def due(self, step: int, steps: int) -> bool:
         """Return whether `step` (1-based) of `steps` ends with a resampling."""
@@ -73,27 +77,45 @@ class Resampler:
         """
         before = len(soup)
         half = (max(height // 2, 1), max(width // 2, 1))
-        if len(soup) > self.budget:
-            corners = soup.vertices.detach().cpu().numpy()
-            counts = visible_pixels(soup, world_to_clip, *half).sum(0)
-            priority = np.asarray(self.prune_weight(corners, counts))
-            if priority.shape != counts.shape or np.isnan(priority).any():
-                raise RuntimeError(
-                    f"prune_weight must give one number per triangle {counts.shape}, "
-                    f"got {priority.shape} or NaN"
-                )
-            order = np.argsort(priority, kind="stable")
-            soup = soup.select(torch.from_numpy(np.sort(order[len(soup) - self.budget :])))
+        soup = self._pruned(soup, self.budget, world_to_clip, *half)
         pruned = len(soup)
         if step < self.split_until * steps:
             views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
-            soup = self._split(soup, world_to_clip[views], *half)
+            split = self._split(soup, world_to_clip[views], *half)
+            if (
+                self.respawn is not None
+            ):  # the plain rule's count is the cap: halves displace the least worthy
+                counts = visible_pixels(soup, world_to_clip, *half).sum(0)
+                halved = self._respawned(soup, self.respawn(_corners(soup), counts > 0))
+                more = self._split(halved, world_to_clip[views], *half)
+                split = (
+                    self._pruned(more, len(split), world_to_clip, *half) if len(more) > len(split) else split
+                )
+            soup = split
         self._check(soup, before, pruned)
         return soup, ResampleReport(before, pruned, len(soup))
 
+    def _pruned(self, soup: Soup, count: int, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
+        """Return the `count` triangles that the order of pruning puts last, in their own order."""
+        if len(soup) <= count:
+            return soup
+        counts = visible_pixels(soup, world_to_clip, height, width).sum(0)
+        priority = np.asarray(self.prune_weight(_corners(soup), counts))
+        if priority.shape != counts.shape or np.isnan(priority).any():
+            raise RuntimeError(
+                f"prune_weight must give one number per triangle {counts.shape}, got {priority.shape} or NaN"
+            )
+        order = np.argsort(priority, kind="stable")
+        return soup.select(torch.from_numpy(np.sort(order[len(soup) - count :])))
+
+    def _respawned(self, soup: Soup, chosen: np.ndarray) -> Soup:
+        """Return the soup with the chosen triangles (indices) halved at their longest edge."""
+        halves, origins = bisected(_corners(soup), chosen)
+        return soup.select(torch.from_numpy(origins), torch.from_numpy(halves))
+
     def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
         visible = visible_pixels(soup, world_to_clip, height, width) > 0
-        corners = np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
+        corners = _corners(soup)
         chosen = [np.asarray(self.split_weight(corners, seen)) for seen in visible]
         if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
             raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
@@ -119,6 +141,17 @@ class Resampler:
             )
         if not torch.isfinite(soup.vertices).all():
             raise RuntimeError("resampling met vertices that are not finite")
+
+
+def _corners(soup: Soup) -> np.ndarray:
+    return np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
+
+
+def plain_resampler(config: RunConfig) -> Resampler:
+    """Return DiffSoup's own resampler with the run's settings."""
+    return Resampler(
+        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+    )
 
 
 def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:

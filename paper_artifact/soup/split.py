@@ -85,3 +85,22 @@ def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
         source[count] = source[t]
         count += 1
     return out[:count].copy(), source[:count].copy()
+
+
+def bisected(corners: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles (T+k,3,3) with the k `chosen` (indices) halved at their longest edge, and their
+    origins (T+k,).
+
+    corners (T,3,3) float32, world units. One half stays in the parent's place, the other goes to the end,
+    both in the parent's orientation.
+    """
+    picked = corners[chosen]
+    lengths = np.linalg.norm(picked - np.roll(picked, -1, axis=1), axis=2)
+    first = lengths.argmax(axis=1)
+    rows = np.arange(len(picked))
+    a, b, c = (picked[rows, (first + turn) % 3] for turn in (0, 1, 2))
+    middle = (a + b) / 2
+    halves = corners.copy()
+    halves[chosen] = np.stack([a, middle, c], axis=1)
+    added = np.stack([middle, b, c], axis=1)
+    return np.concatenate([halves, added]), np.concatenate([np.arange(len(corners)), chosen])

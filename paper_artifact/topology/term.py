@@ -92,14 +92,14 @@ class TopologyTerm:
         return True
 
     def value(
-        self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[[], float]
+        self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[..., float]
     ) -> Tensor | None:
         """Return λ(t)·L_topo (scalar, dtype and device of `vertices`), or None while inactive.
 
         Differentiable by `vertices` (T,3,3), world units. photo_gradient_norm: ‖∇V L_photo‖ of this step, or
-        a function that computes it; used once, at calibration. A zero or non-finite norm there is a no-op:
-        None is returned, the log says why, and the next step tries again. Raises InputError when
-        `refresh_if_due` was not called or the soup changed without it.
+        a function that gives its mean over so many batches; used once, at calibration. A zero or non-finite
+        norm there is a no-op: None is returned, the log says why, and the next step tries again. Raises
+        InputError when `refresh_if_due` was not called or the soup changed without it.
         """
         factor = self.factor(step)
         if factor <= 0:
@@ -129,13 +129,15 @@ class TopologyTerm:
         step: int,
         objective: Objective,
         vertices: Tensor,
-        photo_gradient_norm: float | Callable[[], float],
+        photo_gradient_norm: float | Callable[..., float],
     ) -> float | None:
         """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖ of this step and log it, or None and the reason."""
         live = vertices.detach().clone().requires_grad_(True)
         (gradient,) = torch.autograd.grad(objective.value(live), live)
         topo_norm = float(torch.linalg.vector_norm(gradient.double()))
-        photo_norm = float(photo_gradient_norm() if callable(photo_gradient_norm) else photo_gradient_norm)
+        if callable(photo_gradient_norm):
+            photo_gradient_norm = photo_gradient_norm(self.config.calibration_batches)
+        photo_norm = float(photo_gradient_norm)
         peak = peak_weight(self.config.rho, photo_norm, topo_norm)
         if peak is None:
             which = "topology" if not topo_norm > 0 or not np.isfinite(topo_norm) else "photometric"

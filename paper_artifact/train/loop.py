@@ -21,7 +21,7 @@ from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
@@ -49,6 +49,7 @@ def train(
     progress: Callable[[int, str], None] | None = None,
     device: str = "auto",
     resampler: Resampler | None = None,
+    importance: np.ndarray | None = None,
 ) -> TrainState:
     """Train a soup on the scene's training views and return the state after the last step, the soup on the
     CPU.
@@ -56,27 +57,32 @@ def train(
     term: what is added to the photometric loss, None for nothing. evaluate(soup, step) gives one dump (a
     dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
     start when it belongs to the same configuration. progress(step, text) is called after each step. device:
-    "cpu", "cuda" or "auto" (cuda when there is one). Raises TrainingError when a loss or the soup stops being
-    finite, InputError for a scene without training views or a foreign checkpoint.
+    "cpu", "cuda" or "auto" (cuda when there is one). resampler: None for DiffSoup's own. importance: of the
+    scene's points (n,), for the choice of the first triangles. Raises TrainingError when a loss or the soup
+    stops being finite, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
     term = term or NoTerm()
-    resampler = resampler or Resampler(
-        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+    resampler = resampler or plain_resampler(config)
+    state = resumed_state(checkpoint, config, term, backend) or start_state(
+        scene, config, backend, importance
     )
-    state = resumed_state(checkpoint, config, term, backend) or start_state(scene, config, backend)
+
+    def photometric(step: int) -> float:
+        views = batch_views(scene.train, config.batch, config.seed, step)
+        keys = [view_key(config.seed, step, int(view)) for view in views]
+        return backend.photometric_step(state.soup, views, keys)
+
     for step in range(state.step + 1, config.steps + 1):
         state.step = step
         with state.timed("photometric"):
-            views = batch_views(scene.train, config.batch, config.seed, step)
-            keys = [view_key(config.seed, step, int(view)) for view in views]
-            loss = backend.photometric_step(state.soup, views, keys)
+            loss = photometric(step)
         state.check_loss(loss, config)
         state.losses.append(loss)
         with state.timed("topology"):
-            add_term(term, state)
+            add_term(term, state, photometric)
         with state.timed("optimiser"):
             state.optimiser.step(learning_rates(config, float(scene.radius), step))
             state.check_vertices(config)
@@ -102,20 +108,32 @@ def train(
     return state
 
 
-def start_state(scene: Scene, config: RunConfig, backend: Backend) -> TrainState:
+def start_state(
+    scene: Scene, config: RunConfig, backend: Backend, importance: np.ndarray | None = None
+) -> TrainState:
     """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
-    soup = backend.to_device(initial_soup(scene.points, count, config.seed))
+    soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
     return TrainState(0, soup, soup_optimiser(soup))
 
 
-def add_term(term: LossTerm, state: TrainState) -> None:
-    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite."""
+def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
+    """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite.
+
+    photometric(step) sets the soup's gradients to those of that step's batch.
+    """
     soup = state.soup
 
-    def photo_norm() -> float:
-        gradient = soup.vertices.grad
-        return 0.0 if gradient is None else float(gradient.norm())
+    def photo_norm(batches: int = 1) -> float:
+        """Mean norm of the vertices' gradient over this step's batch and those of the next steps."""
+        own = [tensor.grad for tensor in soup.tensors()]
+        norms = [0.0 if soup.vertices.grad is None else float(soup.vertices.grad.norm())]
+        for later in range(1, batches):
+            photometric(state.step + later)
+            norms.append(float(soup.vertices.grad.norm()))
+        for tensor, gradient in zip(soup.tensors(), own, strict=True):
+            tensor.grad = gradient
+        return sum(norms) / len(norms)
 
     term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
     extra = term.value(state.step, soup.vertices, photo_norm)

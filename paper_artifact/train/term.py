@@ -17,9 +17,13 @@ class LossTerm(Protocol):
         """Make the term's plan when it is due and return whether it was; opacity (T,3) in [0,1]; resampled:
         the soup is new."""
 
-    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[[], float]) -> Tensor | None:
+    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[..., float]) -> Tensor | None:
         """Return the weighted loss (scalar), differentiable by the vertices, or None while the term is
-        inactive."""
+        inactive.
+
+        photo_gradient_norm(batches=1): norm of the photometric gradient by the vertices, the mean over this
+        step's batch and those of the next batches - 1 steps.
+        """
 
     def state(self) -> dict:
         """Return what a resumed run needs."""
@@ -37,7 +41,7 @@ class NoTerm:
         """Return False: there is nothing to refresh."""
         return False
 
-    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[[], float]) -> None:
+    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[..., float]) -> None:
         """Return None: nothing is added."""
 
     def state(self) -> dict:

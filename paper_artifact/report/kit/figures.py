@@ -4,14 +4,17 @@ is displayed."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_artifact.catalogue import colour_of, in_order
+from paper_artifact.catalogue import colour_of, in_order, tag_of
 from paper_artifact.export.figures import new_figure
+
+BROKEN = ("--", ":", "-.")  # lines of a condition's changed settings, in turn
 
 
 def image_rows(rows: Sequence[tuple[str, Sequence[np.ndarray]]], size: float = 1.5) -> Figure:
@@ -45,18 +48,20 @@ def label_axis(axis: Axes, title: str, x: str = "", grid: bool = False) -> None:
 
 
 def draw_bands(axis: Axes, table: pd.DataFrame, value: str) -> None:
-    """Draw one band per condition of `table` in the catalogue's order and colours; columns as for
-    `draw_band`, and "condition"."""
-    for condition in in_order(table["condition"].unique()):
-        draw_band(axis, table[table["condition"] == condition], value, condition, colour_of(condition))
+    """Draw one band per arm of `table` in the catalogue's order and colours, a condition's changed settings
+    with broken lines; columns as for `draw_band`, and "condition"."""
+    broken = cycle(BROKEN)
+    for arm in in_order(table["condition"].unique()):
+        line = "-" if tag_of(arm) == arm else next(broken)
+        draw_band(axis, table[table["condition"] == arm], value, arm, colour_of(arm), line)
 
 
-def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: str) -> None:
+def draw_band(axis: Axes, table: pd.DataFrame, value: str, label: str, colour: str, line: str = "-") -> None:
     """Draw the seeds' mean of `value` over "step" as a line and their range as a band; `table` has "seed",
     "step" and `value`."""
     group = table.groupby("step")[value]
     mean = group.mean()
-    axis.plot(mean.index, mean, color=colour, label=label, linewidth=1.4)
+    axis.plot(mean.index, mean, color=colour, label=label, linewidth=1.4, linestyle=line)
     axis.fill_between(mean.index, group.min(), group.max(), color=colour, alpha=0.18, linewidth=0)
 
 

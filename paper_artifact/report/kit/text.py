@@ -34,6 +34,15 @@ def tails_text(tails: Iterable[float]) -> str:
     return "/".join(map(short, tails))
 
 
+def range_text(tails: Iterable[float], others: Iterable[float]) -> str:
+    """Return how one arm's tails lie to another's: "below" or "above" where the ranges do not touch, else
+    "overlaps"; "" where either has none."""
+    tails, others = list(tails), list(others)
+    if not tails or not others:
+        return ""
+    return "below" if max(tails) < min(others) else "above" if min(tails) > max(others) else "overlaps"
+
+
 def counts_text(counts: Iterable[int | None]) -> str:
     """Return significant counts seed by seed, "2/2/1", "?" where unknown."""
     return "/".join("?" if count is None else str(count) for count in counts)

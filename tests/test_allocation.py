@@ -1,0 +1,176 @@
+"""The allocation study's field and levers: the paper's formula, the width-matched control, budget parity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from paper_artifact.catalogue import study_config
+from paper_artifact.errors import InputError
+from paper_artifact.pipeline import make_run_allocation, make_run_importance
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.soup.allocation import allocating_resampler, most_important, protective_order
+from paper_artifact.soup.initialise import initial_soup
+from paper_artifact.soup.resample import plain_resampler
+from paper_artifact.soup.split import bisected
+from paper_artifact.soup.state import Soup, initial_mlp
+from paper_artifact.topology.floor import median_spacing
+from paper_artifact.topology.importance import Kernels, feature_kernels, importance_field
+from paper_artifact.train.loop import train
+from tests.raster_cases import cameras
+from tests.raster_cases import soup as random_soup
+from tests.tiny_run import tiny_config
+
+
+def torus_points(count: int = 800) -> np.ndarray:
+    u, v = np.random.default_rng(0).random((2, count)) * 2 * np.pi
+    ring = 1 + 0.4 * np.cos(v)
+    return np.column_stack([ring * np.cos(u), ring * np.sin(u), 0.4 * np.sin(v)])
+
+
+def test_kernels_are_the_papers():
+    points = torus_points()
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    narrow, wide = feature_kernels(points, diagonal, 1.0), feature_kernels(points, diagonal, 3.0)
+    for one, three in zip(narrow, wide, strict=True):
+        assert len(one.centres) >= 3 and np.array_equal(one.centres, three.centres)
+        assert {tuple(row) for row in one.centres} <= {tuple(row) for row in points}
+        np.testing.assert_allclose(three.widths, 3 * one.widths)
+        np.testing.assert_allclose(
+            three.weights * three.widths**2, one.weights * one.widths**2
+        )  # constant mass
+        assert (one.widths >= 3 * median_spacing(points) * (1 - 1e-12)).all() and (
+            one.widths <= diagonal / 2
+        ).all()
+    kernels = narrow[0]
+    query = np.array([[0.3, 0.2, 0.1], [1.0, 0.0, 0.4]])
+    by_hand = [
+        sum(
+            weight * np.exp(-np.sum((q - centre) ** 2) / (2 * width**2))
+            for centre, weight, width in zip(kernels.centres, kernels.weights, kernels.widths, strict=True)
+        )
+        for q in query
+    ]
+    np.testing.assert_allclose(kernels.at(query), by_hand, rtol=1e-12)
+
+
+def test_the_field_is_normalised_per_dimension_and_takes_the_nearest_sample():
+    dense = torus_points(5000)
+    weak = Kernels(dense[:1], np.array([1e-6]), np.array([0.3]))
+    strong = Kernels(dense[99:100], np.array([1e6]), np.array([0.3]))
+    field = importance_field([weak, strong], dense)
+    assert field.values.min() >= 0 and field.values.max() == 1.0
+    assert (
+        field.values[0] == field.values[99] == 1.0
+    )  # the weight of a dimension does not matter, only its shape
+    assert np.array_equal(field(dense[:50] + 1e-9), field.values[:50])
+    raw = np.stack([each.at(dense) / np.percentile(each.at(dense), 99.5) for each in (weak, strong)])
+    np.testing.assert_allclose(field.values, np.minimum(raw, 1).max(axis=0))
+
+
+def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
+    mesh = make_shape("sphere")
+    fields = {
+        (name, seed): make_run_importance(config, config.allocation, mesh)
+        for name in ("B4", "B5")
+        for seed in (0, 1)
+        for config in [study_config("sphere", name, seed, allocation={"samples": 512})]
+    }
+    assert np.array_equal(fields["B4", 0].values, fields["B4", 1].values)
+    assert not np.allclose(fields["B5", 0].values, fields["B5", 1].values)
+    nothing = make_run_allocation(study_config("sphere", "C1"), mesh, mesh.vertices)
+    assert nothing == (None, None)
+    resampler, start = make_run_allocation(study_config("sphere", "B1"), mesh, mesh.vertices)
+    assert resampler is None and start.shape == (len(mesh.vertices),) and 0 <= start.min() < start.max() <= 1
+
+
+def test_a_target_without_features_is_refused():
+    points = np.random.default_rng(0).random((100, 3))
+    with pytest.raises(InputError, match="no significant feature at M = 100"):
+        feature_kernels(points, 3**0.5, 1.0)
+
+
+def soup_of(count: int, seed: int = 0) -> Soup:
+    parts = random_soup(seed, count, 0.3)
+    opacity = torch.logit(parts["opacity"]).float()
+    return Soup(parts["vertices"].float(), torch.zeros(count, 3, 7), opacity, initial_mlp(0)).trainable()
+
+
+def test_protection_and_respawn_choose_the_important():
+    corners = np.zeros((10, 3, 3), np.float32) + np.arange(10)[:, None, None]
+
+    def importance(points):
+        return points[:, 0] / 9
+
+    counts = np.arange(10)[::-1]
+    order = protective_order(importance, 2.0)(corners, counts)
+    np.testing.assert_allclose(order, counts + 2.0 * np.quantile(counts, 0.9) * np.arange(10) / 9)
+    assert np.array_equal(protective_order(importance, 0.0)(corners, counts), counts)
+    visible = np.arange(10) != 9
+    assert list(most_important(importance, 3)(corners, visible)) == [6, 7, 8]
+
+
+def test_halves_cover_the_parent():
+    corners = np.random.default_rng(1).random((6, 3, 3)).astype(np.float32)
+
+    def area(each):
+        return np.linalg.norm(np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]), axis=1) / 2
+
+    halves, origins = bisected(corners, np.array([1, 4]))
+    assert len(halves) == 8 and list(origins) == [0, 1, 2, 3, 4, 5, 1, 4]
+    np.testing.assert_allclose(np.bincount(origins, area(halves)), area(corners), rtol=1e-5)
+    np.testing.assert_allclose(area(halves)[[1, 4]], area(corners)[[1, 4]] / 2, rtol=1e-5)
+
+    def normal(each):
+        return np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0])
+
+    assert (np.einsum("nk,nk->n", normal(halves), normal(corners)[origins]) > 0).all()
+
+
+@pytest.mark.parametrize("count", [50, 90])
+@pytest.mark.parametrize("split_height", [0.1, 0.3, 1.0])
+def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, split_height):
+    config = replace(study_config("sphere", "B4"), budget=60, split_height=split_height)
+    views = cameras(3, 5).numpy().astype(np.float32)
+
+    def importance(points):
+        return 1 / (1 + points[:, 0] ** 2)
+
+    resampler = allocating_resampler(config, config.allocation, importance)
+    soup, report = resampler.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
+    assert report.pruned == min(count, 60)
+    # The plain rule on the same pruned soup: only the order of pruning differs.
+    plain = replace(plain_resampler(config), prune_weight=resampler.prune_weight)
+    expected, plain_report = plain.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
+    assert len(soup) == report.after == plain_report.after >= report.pruned
+    assert (report.after > report.pruned) == (split_height < 1)
+    # Where splitting cuts every triangle small anyway, halving some first changes nothing.
+    assert torch.equal(soup.vertices, expected.vertices) == (split_height == 0.1)
+    late, late_report = resampler.resample(soup_of(count), views, 40, 40, 0, 2400, 2500)
+    assert late_report.after == late_report.pruned == len(late)  # nothing is made when nothing is split
+
+
+def test_a_share_of_less_than_a_triangle_is_refused():
+    with pytest.raises(InputError, match="budget of 3 triangles is smaller than the protected share"):
+        config = replace(study_config("sphere", "B2"), budget=3)
+        allocating_resampler(config, config.allocation, lambda points: points[:, 0])
+
+
+def test_the_first_triangles_follow_the_importance():
+    points = torus_points(4000)
+    weight = (points[:, 0] > 0).astype(float)
+    plain, placed = (initial_soup(points, 600, 0, each).vertices.detach().numpy() for each in (None, weight))
+    share = [(each.mean(axis=1)[:, 0] > 0).mean() for each in (plain, placed)]
+    assert abs(share[0] - 0.5) < 0.05 and share[1] > 0.62
+    centres = [each[:400].mean(axis=1) for each in (plain, placed)]
+    np.testing.assert_allclose(*centres, atol=1e-6)  # the farthest-point part is the same
+
+
+def test_without_a_prior_the_run_is_the_plain_one(tiny_scene):
+    config = tiny_config(steps=12)
+    plain = train(tiny_scene, config, device="cpu")
+    given = train(tiny_scene, config, device="cpu", resampler=plain_resampler(config))
+    assert plain.losses == given.losses and torch.equal(plain.soup.vertices, given.soup.vertices)
