@@ -96,6 +96,19 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("C6", "C1 without recruitment", "#b7950b", LossConfig(recruitment=False)),
     Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#6fa8dc", LossConfig(noise=0.005)),
     Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#a9cce3", LossConfig(noise=0.01)),
+    # Not the paper's: no ground truth, Betti numbers in words (`paper_artifact.topology.betti`).
+    Condition(
+        "T1",
+        "Betti numbers in words; other bars above the floor to the diagonal",
+        "#1e8449",
+        LossConfig("betti"),
+    ),
+    Condition(
+        "T2",
+        "Betti numbers in words; all other bars of H1 and H2 to the diagonal",
+        "#82c99a",
+        LossConfig("betti", guard=0.0, suppress="all"),
+    ),
 )
 
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
@@ -172,9 +185,11 @@ def study_config(
     config = with_changes(config, settings | changes)
     if definition is None:
         return config
-    own = (
-        {} if row is None else {name: getattr(row, name) for name in ("samples", "dimensions", "bundle_seed")}
-    )
+    own: dict[str, Any] = {}
+    if row is not None and definition.kind == "betti":
+        own = {"samples": row.samples, "betti": (row.features[0] + 1, *row.features[1:])}
+    elif row is not None:
+        own = {name: getattr(row, name) for name in ("samples", "dimensions", "bundle_seed")}
     return replace(config, loss=with_changes(definition, own | dict(loss or {})))
 
 
