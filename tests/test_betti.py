@@ -78,17 +78,16 @@ def test_the_value_at_a_refresh_is_the_notes_formula(settings):
     value = loss(torch.tensor(points)).item()
     assert value == pytest.approx(expected, rel=1e-9) and len(loss.plan) == wanted_bars + other_bars
     report = loss.plan.report["dimensions"].values()
-    assert (wanted_bars, other_bars) == tuple(
-        sum(each[k] for each in report) for k in ("matched", "diagonal")
-    )
+    assert wanted_bars == sum(each["matched"] for each in report)
+    assert other_bars == sum(each["diagonal"] for each in report)
     assert (other_bars > 500) == (settings == T2)
 
 
-@pytest.mark.parametrize("settings", [{}, T2])
-def test_the_gradient_is_that_of_finite_differences(settings):
-    points = torch.tensor(cloud_of("torus", 90), requires_grad=True)
-    # A lie, so that longer bars are pushed down beside those that are pulled up.
-    loss = BettiLoss((1, 1, 0), refresh_every=0, **(settings | {"guard": 0.1}))
+@pytest.mark.parametrize("count, betti, settings", [(600, (1, 0, 1), {}), (80, (1, 1, 0), T2)])
+def test_the_gradient_is_that_of_finite_differences(count, betti, settings):
+    """Words that leave a bar out, so that bars are pushed down beside those that are pulled up."""
+    points = torch.tensor(cloud_of("torus", count), requires_grad=True)
+    loss = BettiLoss(betti, refresh_every=0, **(settings | {"guard": 0.1}))
     plan = loss.refresh(points)
     assert {*plan.pulls.kind.tolist()} == {0, DIAGONAL} and plan.pulls.sound.all()
     assert torch.autograd.gradcheck(loss, (points,), eps=1e-6, atol=1e-7, rtol=1e-5)
@@ -111,19 +110,17 @@ def test_wanted_bars_are_pulled_by_their_deaths_alone():
     assert one.pulls.values[0, 1] > longer.refresh(points).pulls.values[0, 1]
 
 
-def test_a_puncture_closes():
-    """A void whose sphere has a hole is wanted; twenty steps make it live longer."""
-    points = cloud_of("sphere", 500)
-    points = torch.tensor(points[points[:, 2] < 0.75 * points[:, 2].max()], requires_grad=True)
-    loss, longest = BettiLoss((1, 0, 1), refresh_every=1), []
-    step = 0.05 * float(np.ptp(points.detach().numpy()))
-    for _ in range(20):
-        points.grad = None
-        loss(points).backward()
-        longest.append(loss.plan.report["dimensions"]["2"]["margins"][0])
-        with torch.no_grad():
-            points -= step * points.grad / points.grad.norm()
-    assert longest[-1] > 1.1 * longest[0]
+def test_a_hole_grows():
+    """A slab of points that is said to have one loop gets a hole."""
+    slab = torch.tensor(stream(0, "slab").random((200, 3)) * [1, 1, 0.1], requires_grad=True)
+    loss, optimiser = BettiLoss((1, 1, 0), guard=0.0, refresh_every=1), torch.optim.Adam([slab], lr=0.005)
+    margins = []
+    for _ in range(40):
+        optimiser.zero_grad()
+        loss(slab).backward()
+        margins.append(loss.plan.report["dimensions"]["1"]["margins"])
+        optimiser.step()
+    assert margins[0][0] < 0.3 and margins[-1][0] > 2 * margins[0][0] and margins[-1][1] < 0.3
 
 
 @pytest.mark.parametrize(
@@ -153,9 +150,7 @@ def test_points_that_no_loss_can_be_had_of_are_refused():
     ):
         with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
             BettiLoss((1, 1, 0))(torch.tensor(points))
-    with pytest.raises(
-        InputError, match=r"asks for 9999 finite bars of dimension 1 \(loops\).*have \d+ in all"
-    ):
+    with pytest.raises(InputError, match=r"9999 finite bars of dimension 1 \(loops\).*have \d+ in all"):
         BettiLoss((1, 9999, 0))(torch.tensor(cloud_of("sphere", 60)))
     with pytest.raises(InputError, match="samples a surface again"):
         BettiLoss((1, 1, 0), fallback="denser")
@@ -167,7 +162,7 @@ def test_points_that_no_loss_can_be_had_of_are_refused():
     "settings, words",
     [
         ({"guard": -0.1}, "guard must not be negative"),
-        ({"pull": float("inf")}, "pull must not be negative"),
+        ({"pull": -1.0}, "pull must not be negative"),
         ({"suppress": "most"}, "unknown suppress rule 'most'; choose one of floor, all"),
         ({"kind": "topology", "betti": (1, 2, 1)}, "belongs to the loss kind 'betti'"),
         ({"kind": "topology", "samples": "auto"}, "samples=auto belongs to the loss kind 'betti'"),
@@ -196,13 +191,13 @@ def test_the_audit_says_what_contradicts_the_words(settings):
     (void,) = said("sphere", (1, 0, 0), **settings)
     assert void.startswith("you said no void; the images show 1 void more (the longest has ")
     (loops,) = said("sphere", (1, 2, 1), **settings)
-    assert loops.startswith(
-        "you said 2 loops; 2 loops of them are not seen yet: the strongest candidate has 0."
-    )
+    assert loops.startswith("you said 2 loops; none so far: the next candidate has 0.")
     (loop,) = said("torus", (1, 3, 1), **settings)
-    assert loop.startswith("you said 3 loops; 1 loop of them is not seen yet") and "below 0.5" in loop
+    assert loop.startswith("you said 3 loops; 2 so far: the next candidate has 0.") and "below 0.5" in loop
     (surplus,) = said("torus", (1, 0, 1), **settings)
     assert surplus.startswith("you said no loop; the images show ")
+    (second,) = said("sphere", (2, 0, 1), **settings)
+    assert second.startswith("you said 2 components; 1 so far: the next candidate has 0.")
     (component,) = said("two_spheres", (1, 0, 2), **settings)
     assert component.startswith("you said 1 component; the images show 1 component more")
 
@@ -225,9 +220,7 @@ def test_a_term_audits_its_words_once_before_any_gradient():
     resumed.load_state(term.state())
     resumed.refresh_if_due(42, soup, None)
     assert len(told) == 1 and resumed.log[-1]["event"] == "refresh"
-    with pytest.raises(
-        InputError, match="strict, and at step 22 the images contradict the words: you said no"
-    ):
+    with pytest.raises(InputError, match="at step 22 the images contradict the words: you said no"):
         words_of((1, 0, 0), strict=True).refresh_if_due(22, soup, None)
     words_of((1, 0, 1), strict=True).refresh_if_due(22, soup, None)
 
@@ -253,9 +246,8 @@ def test_a_gradient_of_rounding_alone_sets_no_weight(kind):
         term = TopologyTerm(LossConfig(samples=512), build_bundle(cloud_of("sphere", 512), 3.4), 100, 0)
     term.refresh_if_due(30, soup, None)
     assert term.value(30, soup, 1e9) is None and term.lambda_peak is None
-    assert (
-        term.log[-1]["event"] == "no-op" and "of the photometric one, below 1e-05" in term.log[-1]["reason"]
-    )
+    assert term.log[-1]["event"] == "no-op"
+    assert "of the photometric one, below 1e-05" in term.log[-1]["reason"]
     assert term.value(31, soup, 1.0).item() > 0 and term.log[-1]["event"] == "lambda"
 
 
@@ -292,9 +284,6 @@ def test_the_frame_is_the_clouds_and_ignores_outliers():
     assert 0.95 * box < frame_diagonal(cloud) < box
     far = np.concatenate([cloud, 100.0 + np.random.default_rng(0).random((20, 3))])
     assert frame_diagonal(far) == pytest.approx(frame_diagonal(cloud), rel=0.05)
-    for points, words in (
-        (cloud[:1].repeat(9, axis=0), "one place"),
-        (cloud[:2], "at least 4 finite points"),
-    ):
+    for points, words in ((cloud[:1].repeat(9, axis=0), "one place"), (cloud[:2], "at least 4")):
         with pytest.raises(InputError, match=words):
             frame_diagonal(points)

@@ -92,13 +92,8 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     Unchanged for a shape of the study, for a loss without a target bundle, and where samples or dimensions
     are among the loss settings `given`. Says why on stderr. Raises InputError when nothing is measurable.
     """
-    loss = config.loss
-    if (
-        loss is None
-        or loss.kind == "betti"
-        or shape_row(config.shape)
-        or {"samples", "dimensions"} & {*given}
-    ):
+    loss, chosen = config.loss, {"samples", "dimensions"} & {*given}
+    if loss is None or loss.kind == "betti" or chosen or shape_row(config.shape):
         return config
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.rule import WORKING
@@ -107,9 +102,10 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     mesh = find_mesh(config.shape, welded=False)
     decision = audit_mesh(mesh, densities=WORKING, first_seed=loss.bundle_seed).decision
     if decision.samples is None:
+        why = next((each for each in decision.reasons if each.startswith("0 of")), decision.reasons[-1])
         raise InputError(
-            f"nothing of {config.shape} is measurable at M = {' or '.join(map(str, WORKING))}: "
-            f"{decision.reasons[-1]} Train it with condition {BASELINE}, or give --loss samples and dimensions"
+            f"nothing of {config.shape} is measurable at M = {' or '.join(map(str, WORKING))}: {why} "
+            f"Train it with condition {BASELINE}, or give an M of your own with --loss samples=M"
         )
     print(*decision.reasons, sep="\n", file=sys.stderr)
     return replace(config, loss=replace(loss, samples=decision.samples, dimensions=decision.dimensions))

@@ -87,9 +87,9 @@ def contradictions(statement: Statement, report: Mapping[str, Any], config: Loss
         said = f"you said {_counted(count, dimension)}"
         seen = sum(margin > level for margin in margins[: each["wanted"]])
         if seen < each["wanted"]:
-            so_far = seen + (dimension == 0)
+            shown = seen + (dimension == 0) or "none"
             found.append(
-                f"{said}; {so_far or 'none'} so far: the next candidate has {margins[seen]:.2f} of the floor, "
+                f"{said}; {shown} so far: the next candidate has {margins[seen]:.2f} of the floor, "
                 f"and below {level:g} it may be noise"
             )
         if each["surplus"]:
