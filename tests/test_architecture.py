@@ -100,6 +100,12 @@ def test_no_two_modules_import_each_other():
         pytest.fail(" → ".join(error.args[1]))
 
 
+def test_every_kernel_has_the_packages_cache():
+    numbas = re.compile(r"numba(\.| import .*\b)njit")
+    own = {module for module, path in MODULES.items() if numbas.search(path.read_text())}
+    assert own == {"paper_artifact.kernel_cache"}, "take njit from paper_artifact.kernel_cache"
+
+
 def outsiders(path: Path) -> set[str]:
     tree = ast.parse(path.read_text())
     names = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
@@ -111,7 +117,7 @@ def outsiders(path: Path) -> set[str]:
 def test_the_persistence_stands_alone():
     alpha = [path for module, path in MODULES.items() if room_of(module) == "alpha"]
     used = {room_of(name) for path in alpha for name in imported(path.read_text())}
-    assert used - {"alpha"} == {"errors"}
+    assert used - {"alpha"} == {"errors", "kernel_cache"}
     assert set().union(*map(outsiders, alpha)) == {"numpy", "numba", "torch", "gudhi"}
     code = (
         "import sys, paper_artifact.alpha; print(sorted({name.split('.')[1] for name in sys.modules "

@@ -22,8 +22,9 @@ from paper_artifact.record.store import find_records, record_path
 from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.study import studies
 from paper_artifact.study import sweep as sweep_module
+from paper_artifact.study.estimate import Estimate, Outcome, Step
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.study.sweep import Estimate, Outcome, missing, sweep
+from paper_artifact.study.sweep import missing, sweep
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
 
 # --- the tables
@@ -116,7 +117,7 @@ def test_the_analytic_studies_need_no_download():
 def test_estimate_from_fake_durations():
     configs = study_configs("table1", ["sphere"], ["C0", "C1"], [0, 1, 2])  # C0, C1, C0, C1, C0, C1
     estimate = Estimate(configs, workers=2)
-    assert estimate.seconds() is None and "unknown" in estimate.text()
+    assert estimate.seconds() is None and "not known" in estimate.text()
     estimate.ended(Outcome(configs[1], 1.0, "it broke at once"))
     assert estimate.seconds() is None, "a failed run says nothing about the others"
     estimate.ended(Outcome(configs[0], 600.0, None))
@@ -130,6 +131,24 @@ def test_estimate_from_fake_durations():
     assert estimate.seconds() == 630, "one run left keeps one worker busy, not two"
     estimate.ended(Outcome(configs[4], 630.0, None))
     assert estimate.seconds() == 0 and estimate.text() == "about 0 min left"
+
+
+def test_estimate_from_the_first_steps_on():
+    configs = study_configs("table1", ["sphere"], ["C0", "C1"], [0, 1, 2])  # 2,500 steps each
+    estimate = Estimate(configs, workers=2)
+    estimate.stepped(Step(configs[0], 1, 20.0))
+    assert estimate.seconds() is None, "one sign tells no pace"
+    assert estimate.running() == "sphere C0 seed 0 0 %"
+    estimate.stepped(Step(configs[0], 501, 30.0))  # .02 s a step: 70 s in all, 39.98 of them left
+    assert estimate.seconds() == pytest.approx((39.98 + 5 * 70) / 2)
+    estimate.stepped(Step(configs[1], 1001, 40.0))  # went on from its checkpoint, of step 1000
+    estimate.stepped(Step(configs[1], 1251, 50.0))  # .04 s a step: 49.96 s left, a whole one takes 140
+    assert estimate.seconds() == pytest.approx((39.98 + 49.96 + 2 * 70 + 2 * 140) / 2)
+    assert estimate.running() == "sphere C0 seed 0 20 %, sphere C1 seed 0 50 %"
+    estimate.ended(Outcome(configs[0], 80.0, None))
+    assert estimate.seconds() == pytest.approx((49.96 + 2 * 80 + 2 * 140) / 2), "what ended is known better"
+    estimate.ended(Outcome(configs[1], 60.0, "it broke"))
+    assert estimate.seconds() == 4 * 80 / 2 and estimate.running() == ""
 
 
 # --- runs in processes
@@ -162,7 +181,10 @@ def test_a_failing_run_is_told_and_the_others_are_done(swept):
     assert [record["config"]["seed"] for record in records] == [0, 1] and len(outcomes) == 3
     assert all(record["dumps"] and record["resumed_at"] is None for record in records)
     assert not list((results / "checkpoints").iterdir())
-    assert [ended for _, ended, _ in reports] == [0, 1, 2, 3] and {total for _, _, total in reports} == {3}
+    assert {ended for _, ended, _ in reports} == {0, 1, 2, 3} and {total for _, _, total in reports} == {3}
+    steps = [text for text, _, _ in reports if "%" in text]
+    assert len(reports) == 4 + len(steps), "runs that end and steps"
+    assert any("sphere C0 seed 0 8 %" in text for text in steps), "step 1 of 12"
     assert (
         reports[0][0].startswith("0 of 3 recorded") and sum("FAILED" in text for text, _, _ in reports) == 1
     )
@@ -249,6 +271,8 @@ def test_a_damaged_record_is_never_overwritten(swept, tmp_path, monkeypatch):
 
 
 def test_a_run_ended_by_a_signal_or_without_a_word(monkeypatch):
+    steps = []
+
     def start(command):
         return lambda values, results, device: subprocess.Popen(
             [sys.executable, "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -256,13 +280,18 @@ def test_a_run_ended_by_a_signal_or_without_a_word(monkeypatch):
 
     def failure(command):
         monkeypatch.setattr(sweep_module, "start_run", start(command))
-        (outcome,) = sweep_module.run_processes([CONFIGS[0]], REPOSITORY, 1, "cpu")
+        *signs, outcome = sweep_module.run_processes([CONFIGS[0]], REPOSITORY, 1, "cpu")
+        steps.extend(sign.step for sign in signs)
         return outcome.failure
 
     assert failure("import os; os.kill(os.getpid(), 9)") == "the process was ended by signal 9"
     assert failure("raise SystemExit(4)") == "the process ended with exit code 4"
     assert failure("raise ValueError('first\\nlast')") == "last"
     assert failure("import sys; print('a warning', file=sys.stderr)") is None
+    words = "'a reason', 'step 1', 'step x', 'step 7'"
+    told = f"import sys; print({words}, sep='\\n', file=sys.stderr); raise SystemExit(1)"
+    assert failure(told) == "step x", "the last line that is no sign of progress"
+    assert steps == [1, 7]
 
 
 def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):

@@ -13,7 +13,9 @@ import paper_artifact
 
 ROOT = Path(paper_artifact.__file__).parent
 LIBRARIES = {"alpha": {"numpy", "numba", "torch"}, "topology": {"numpy", "scipy", "torch"}}
-ROOMS = {"alpha": {"errors"}, "topology": {"alpha", "config", "errors", "files", "randomness", "sampling"}}
+# kernel_cache is numba with a cache of our own: it knows nothing of the project.
+BELOW = {"errors", "kernel_cache"}
+ROOMS = {"alpha": BELOW, "topology": BELOW | {"alpha", "config", "files", "randomness", "sampling"}}
 HEAVY = {"trimesh", "pandas", "matplotlib", "gudhi", "PIL", "networkx"}
 FACES = {
     "alpha": {"DiagramTensor", "Pairs", "alpha_diagrams", "alpha_persistence", "circumradius"},

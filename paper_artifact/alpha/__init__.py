@@ -1,6 +1,6 @@
 """Differentiable alpha persistence: a package of its own, on numpy, numba and torch.
 
-Of this project it imports the errors only.
+Of this project it imports `errors` and `kernel_cache` only.
 
     from paper_artifact.alpha import alpha_diagrams, alpha_persistence
 

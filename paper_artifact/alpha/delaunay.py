@@ -10,7 +10,6 @@ alpha persistence diagram does not depend on the choice.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.expansions import WORKSPACE
 from paper_artifact.alpha.predicates import (
@@ -20,6 +19,7 @@ from paper_artifact.alpha.predicates import (
     orient3d_exact,
     orient3d_filter,
 )
+from paper_artifact.kernel_cache import njit
 
 INFINITE = -1  # the last vertex of a cell outside the hull
 DEAD = -2  # the first vertex of an unused row
@@ -91,7 +91,7 @@ def _conflict_filter(points: np.ndarray, mesh: np.ndarray, t: int, p: int) -> tu
     if d == INFINITE:
         return 0.0, 0.0
     return insphere_filter(
-        points, np.uint64(mesh[t, 0]), np.uint64(mesh[t, 1]), np.uint64(mesh[t, 2]), np.uint64(d), p
+        points, np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2]), np.int64(d), p
     )
 
 
@@ -101,12 +101,14 @@ def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.nd
 
     In the plane of the triangle, inside its circle: that is where the plane meets the inner cell's sphere.
     """
+    a, b, c = np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2])
     if mesh[t, 3] == INFINITE:
-        side = orient3d(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], p, ws)
+        side = orient3d(points, a, b, c, p, ws)
         if side != 0.0:
             return side > 0.0
         t = mesh[t, 7]
-    return insphere(points, mesh[t, 0], mesh[t, 1], mesh[t, 2], mesh[t, 3], p, ws) > 0.0
+        a, b, c = np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2])
+    return insphere(points, a, b, c, np.int64(mesh[t, 3]), p, ws) > 0.0
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -122,7 +124,7 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
             if other == previous:
                 continue
             a, b, c = mesh[t, FACE[i, 0]], mesh[t, FACE[i, 1]], mesh[t, FACE[i, 2]]
-            side, bound = orient3d_filter(points, np.uint64(a), np.uint64(b), np.uint64(c), p)
+            side, bound = orient3d_filter(points, np.int64(a), np.int64(b), np.int64(c), p)
             if abs(side) <= bound:
                 side = orient3d_exact(points, a, b, c, p, ws)
             if side < 0.0:
@@ -139,7 +141,9 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
 def _grown(array: np.ndarray, rows: int) -> np.ndarray:
     """Return a copy of (m, k) `array` with `rows` rows, the new ones 0."""
     larger = np.zeros((rows, array.shape[1]), dtype=np.int32)
-    larger[: len(array)] = array
+    for i in range(len(array)):  # a slice assignment takes seconds to compile
+        for j in range(array.shape[1]):
+            larger[i, j] = array[i, j]
     return larger
 
 
@@ -159,7 +163,9 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
     capacity = 9 * n + 64
     mesh = np.empty((capacity, 8), dtype=np.int32)  # a cell's vertices, then its neighbours opposite to them
     mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not; less: not yet known
-    mesh[:5] = START
+    for t in range(len(START)):
+        for i in range(8):
+            mesh[t, i] = START[t, i]
     used = 5
     free = np.empty((capacity, 1), dtype=np.int32)
     free_count = 0

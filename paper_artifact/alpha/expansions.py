@@ -15,7 +15,9 @@ has length 0.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
+
+from paper_artifact.kernel_cache import njit
 
 # Doubles of a workspace; the longest expansion (a Gabriel sign with nothing cancelling) needs half of it.
 WORKSPACE = 1 << 21

@@ -11,10 +11,10 @@ expansions for one flat beyond that. Squared radii carry a relative error below 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.expansions import Formula, evaluate, exact
 from paper_artifact.alpha.predicates import edge_exact, edge_filter, triangle_exact, triangle_filter
+from paper_artifact.kernel_cache import njit
 
 # Relative determinants below which a circumradius is evaluated in double-doubles (the error in float64 is at
 # most 1e-15 / FLAT), and in exact expansions (in double-doubles at most 1e-30 / FLATTER).

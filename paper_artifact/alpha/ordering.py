@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from paper_artifact.kernel_cache import njit
 
 ROUNDS = 5  # biased randomised rounds: the last holds half of the points, the one before a quarter, ...
 HILBERT_BITS = 16  # per axis

@@ -9,6 +9,7 @@ triangulation, filtration and reduction) and `gudhi` (the oracle: gudhi's AlphaC
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from paper_artifact.errors import InputError
 ROUNDING = 1e-12
 
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -40,24 +42,26 @@ class Pairs:
         return np.column_stack([self.births, self.deaths])
 
 
-def alpha_persistence(points: np.ndarray, method: str = "fast") -> tuple[Pairs, Pairs, Pairs]:
+def alpha_persistence(
+    points: np.ndarray, method: str = "fast", progress: Progress | None = None
+) -> tuple[Pairs, Pairs, Pairs]:
     """Return the finite bars of positive length of the alpha filtration of `points`, dimensions 0, 1, 2.
 
     points: (n, 3) array, n >= 0, converted to float64; any unit. Births and deaths are radii in the same
-    unit. method: "fast" or "gudhi". A bar shorter than rounding (death² - birth² <= 1e-12 death²) counts as
-    empty and is left out. The one connected component that never dies is left out as well; no other class is
-    infinite. Exact duplicates of a point are one point of the filtration; a simplex names one of them. Small
-    and flat clouds have the well-defined answer of their dimension: n = 0 and 1 no bars, 2 points or
-    collinear ones H0 only, 3 points or coplanar ones H0 and H1 only. (`fast` hands clouds that span no
-    tetrahedron to gudhi.)
+    unit. method: "fast" or "gudhi". progress: called with the name of each of STAGES as it begins. A bar
+    shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected
+    component that never dies is left out as well; no other class is infinite. Exact duplicates of a point are
+    one point of the filtration; a simplex names one of them. Small and flat clouds have the well-defined
+    answer of their dimension: n = 0 and 1 no bars, 2 points or collinear ones H0 only, 3 points or coplanar
+    ones H0 and H1 only. (`fast` hands clouds that span no tetrahedron to gudhi.)
 
     Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
     """
     points = check_points(points)
     if method == "fast":
-        return fast_persistence(points)
+        return fast_persistence(points, progress=progress)
     if method == "gudhi":
-        return gudhi_persistence(points)
+        return gudhi_persistence(points, progress=progress)
     raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
 
 
@@ -80,7 +84,9 @@ def check_points(points: np.ndarray) -> np.ndarray:
     return points
 
 
-def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) -> tuple[Pairs, Pairs, Pairs]:
+def fast_persistence(
+    points: np.ndarray, clock: dict[str, float] | None = None, progress: Progress | None = None
+) -> tuple[Pairs, Pairs, Pairs]:
     """Return what alpha_persistence does, by our kernels, for points that it has checked.
 
     A cloud that spans no tetrahedron goes to gudhi. clock: when given, receives the CPU seconds of this
@@ -88,17 +94,20 @@ def fast_persistence(points: np.ndarray, clock: dict[str, float] | None = None) 
     """
     from paper_artifact.alpha.fast import squared_pairs  # compiled code: loaded only where it is used
 
-    marks: list[float] = []
-    pairs = squared_pairs(points, marks)
-    if pairs is None:
-        return gudhi_persistence(points, clock)
-    components, loops, voids = (make_pairs(*rows) for rows in pairs)
-    _read_clock(clock, marks)
+    stages = _Stages(progress)
+    rows = squared_pairs(points, stages.begin)
+    if rows is None:
+        return gudhi_persistence(points, clock, progress=progress)
+    components, loops, voids = (make_pairs(*each) for each in rows)
+    stages.end(clock)
     return components, loops, voids
 
 
 def gudhi_persistence(
-    points: np.ndarray, clock: dict[str, float] | None = None, precision: str = "safe"
+    points: np.ndarray,
+    clock: dict[str, float] | None = None,
+    precision: str = "safe",
+    progress: Progress | None = None,
 ) -> tuple[Pairs, Pairs, Pairs]:
     """Return what fast_persistence does, by gudhi's alpha complex and its pairs over Z/2.
 
@@ -108,27 +117,43 @@ def gudhi_persistence(
     """
     import gudhi  # the oracle, and the path of degenerate clouds: only when needed
 
-    marks = [time.process_time()]
+    stages = _Stages(progress)
+    stages.begin("delaunay")
     complex_ = gudhi.AlphaComplex(points=points, precision=precision)
-    marks.append(time.process_time())
+    stages.begin("filtration")
     tree = complex_.create_simplex_tree()
-    marks.append(time.process_time())
+    stages.begin("reduction")
     rows: tuple[list, list, list] = ([], [], [])
     if tree.num_simplices() > 0:
         tree.compute_persistence(homology_coeff_field=2, min_persistence=0)
-        marks.append(time.process_time())
+        stages.begin("pairs")
         for birth, death in tree.persistence_pairs():
             if death and len(birth) <= 3:
                 rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
     components, loops, voids = (_from_rows(rows[dimension], dimension) for dimension in range(3))
-    _read_clock(clock, marks)
+    stages.end(clock)
     return components, loops, voids
 
 
-def _read_clock(clock: dict[str, float] | None, marks: list[float]) -> None:
-    """Fill `clock` with the times between the marks, the last stage up to now."""
-    if clock is not None:
-        clock.update(zip(STAGES, np.diff([*marks, time.process_time()]).tolist(), strict=False))
+class _Stages:
+    """Which stage runs since when, in CPU seconds of this process."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.progress = progress
+        self.begun: list[tuple[str, float]] = []
+
+    def begin(self, stage: str) -> None:
+        """Note that `stage` begins now, and say so."""
+        if self.progress is not None:
+            self.progress(stage)
+        self.begun.append((stage, time.process_time()))
+
+    def end(self, clock: dict[str, float] | None) -> None:
+        """Write the seconds of each stage into `clock`, if there is one."""
+        if clock is not None:
+            ends = [begin for _, begin in self.begun[1:]] + [time.process_time()]
+            for (stage, begin), end in zip(self.begun, ends, strict=True):
+                clock[stage] = end - begin
 
 
 def _empty(dimension: int) -> Pairs:

@@ -13,9 +13,9 @@ are both together.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.expansions import ADD, MULTIPLY, Formula, evaluate, exact
+from paper_artifact.kernel_cache import njit
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
 # In units of max|dx| max|dy| max|dz| max|d|²: the largest permanent, and a bound, (16 + 224 u) u of that.

@@ -11,9 +11,9 @@ paper, Method).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.alpha.ordering import sort_keys
+from paper_artifact.kernel_cache import njit
 
 # A triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an
 # edge.
@@ -160,21 +160,57 @@ def voids(
 
 
 @njit(cache=True, nogil=True)
-def _highest_bit(word: int) -> int:
-    place = 0
-    for shift in (32, 16, 8, 4, 2, 1):
-        if word >> np.uint64(shift):
-            word >>= np.uint64(shift)
-            place += shift
-    return place
-
-
-@njit(cache=True, nogil=True)
 def _grown(array: np.ndarray, used: int, size: int) -> np.ndarray:
     larger = np.empty(size, dtype=np.int32)
     for i in range(used):
         larger[i] = array[i]
     return larger
+
+
+@njit(cache=True, nogil=True)
+def _bit_tree(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return an empty set of rows below `rows`: (words of 64 bits, first word of each level).
+
+    A bit of level 0 is a row, a bit of a higher level a word of the level below that is not empty; the last
+    level is one word (the bit-tree column of PHAT: Bauer, Kerber, Reininghaus & Wagner 2017).
+    """
+    levels, words, total = 1, rows // 64 + 1, rows // 64 + 1
+    while words > 1:
+        words = (words + 63) // 64
+        total += words
+        levels += 1
+    starts = np.zeros(levels, dtype=np.int64)
+    words = rows // 64 + 1
+    for level in range(1, levels):
+        starts[level] = starts[level - 1] + words
+        words = (words + 63) // 64
+    return np.zeros(total, dtype=np.uint64), starts
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _flip(tree: np.ndarray, starts: np.ndarray, row: int) -> None:
+    """Add a row to the set, or take it out if it is there."""
+    for level in range(len(starts)):
+        word = starts[level] + (row >> 6)
+        before = tree[word]
+        tree[word] = before ^ (np.uint64(1) << np.uint64(row & 63))
+        if before != 0 and tree[word] != 0:
+            return
+        row >>= 6
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _last(tree: np.ndarray, starts: np.ndarray) -> int:
+    """Return the largest row of a set that is not empty."""
+    row = 0
+    for level in range(len(starts) - 1, -1, -1):
+        word = tree[starts[level] + row]
+        row <<= 6
+        for shift in (32, 16, 8, 4, 2, 1):
+            more = word >> np.uint64(shift)
+            word = more if more != 0 else word
+            row += shift if more != 0 else 0
+    return row
 
 
 @njit(cache=True, nogil=True)
@@ -190,7 +226,7 @@ def loops(
 
     order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a
     void are left out. Rows are the edges that merge no components (the others never become a pivot). A column
-    is reduced in a bit field over the rows; a reduced column is kept as a list of rows, except for the
+    is reduced in a bit tree over the rows; a reduced column is kept as a list of rows, except for the
     triangles of `apparent`, which are reduced as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
@@ -207,40 +243,39 @@ def loops(
     kept = np.empty(4 * rows + 1024, dtype=np.int32)
     count = used = 0
     starts[0] = 0
-    bits = np.zeros(rows // 64 + 1, dtype=np.uint64)
-    one = np.uint64(1)
+    tree, levels = _bit_tree(rows)
     for triangle in order:
         if state[triangle] == CLOSES:
             continue
-        pivot, least = -1, rows
         addend = triangle  # a triangle's own column, or -1: the kept column of the pivot
+        pivot = np.int64(-1)
+        size = 0  # of the column, at most
         while True:
             if addend >= 0:
                 for i in range(3):
-                    row = row_of[of_triangle[addend, i]]
+                    row = np.int64(row_of[of_triangle[addend, i]])
                     if row >= 0:
-                        bits[row >> 6] ^= one << np.uint64(row & 63)
-                        pivot, least = max(pivot, row), min(least, row)
+                        _flip(tree, levels, row)
+                        size += 1
             else:
-                for i in range(starts[columns[pivot]], starts[columns[pivot] + 1]):
-                    row = kept[i]
-                    bits[row >> 6] ^= one << np.uint64(row & 63)
-                    least = min(least, row)
-            word = pivot >> 6
-            while bits[word] == 0:
-                word -= 1
-            pivot = 64 * word + _highest_bit(bits[word])
+                first, end = starts[columns[pivot]], starts[columns[pivot] + 1]
+                for i in range(first, end):
+                    _flip(tree, levels, np.int64(kept[i]))
+                size += end - first
+            pivot = _last(tree, levels)
             addend = apparent[edge_at[pivot]]
             if addend < 0 and columns[pivot] < 0:
                 break
-        if used + pivot + 2 > len(kept):
-            kept = _grown(kept, used, 2 * len(kept) + rows)
-        for word in range(pivot >> 6, (least >> 6) - 1, -1):
-            while bits[word] != 0:
-                bit = _highest_bit(bits[word])
-                bits[word] ^= one << np.uint64(bit)
-                kept[used] = 64 * word + bit
-                used += 1
+        if used + size > len(kept):
+            kept = _grown(kept, used, 2 * len(kept) + size)
+        row = pivot
+        while True:
+            _flip(tree, levels, row)
+            kept[used] = row
+            used += 1
+            if tree[-1] == 0:
+                break
+            row = _last(tree, levels)
         births[count], deaths[count] = edge_at[pivot], triangle
         columns[pivot] = count
         count += 1

@@ -95,11 +95,21 @@ def persistence_rows(
     return rows
 
 
-def growth_exponent(rows: list[dict], key: str = "fast_ms") -> float:
-    """The exponent p of time ~ M^p between the first and the last row. Raises InputError for fewer than two
-    sizes.
+def growth(rows: list[dict], key: str = "fast_ms") -> tuple[float, float]:
+    """Return (p, its standard error) of time ~ M^p: least squares of the logarithms over all rows.
+
+    The error is nan for two rows, which any power fits. Raises InputError for fewer than two sizes.
     """
     if len({row["M"] for row in rows}) < 2:
         raise InputError("a growth exponent needs rows of at least two sizes")
-    first, last = min(rows, key=lambda row: row["M"]), max(rows, key=lambda row: row["M"])
-    return float(np.log(last[key] / first[key]) / np.log(last["M"] / first["M"]))
+    x, y = (np.log([row[name] for row in rows]) for name in ("M", key))
+    x, y = x - x.mean(), y - y.mean()
+    exponent = (x @ y) / (x @ x)
+    spread = np.square(y - exponent * x).sum() / (len(rows) - 2) / (x @ x) if len(rows) > 2 else np.nan
+    return float(exponent), float(np.sqrt(spread))
+
+
+def growth_text(rows: list[dict], key: str = "fast_ms") -> str:
+    """Return `growth` as "0.98 ± 0.05", without the error where there is none."""
+    exponent, spread = growth(rows, key)
+    return f"{exponent:.2f}" if np.isnan(spread) else f"{exponent:.2f} ± {spread:.2f}"

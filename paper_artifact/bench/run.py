@@ -1,19 +1,18 @@
-"""A whole run: CPU seconds, peak memory, where the time goes. Each measurement is a process of its own."""
+"""A whole run: CPU seconds, wall time, peak memory, where the time goes. Each is a process of its own."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-_CHILD = """
-import json, resource, sys, time
+from paper_artifact.bench.child import run_child
+
+_PROGRAM = """
+import json, sys, time
 from pathlib import Path
 import torch
 from paper_artifact.raster.threads import set_thread_count
 from paper_artifact.catalogue import study_config
+from paper_artifact.record.environment import peak_memory_mib
 from paper_artifact.train.loop import train
 from paper_artifact.pipeline import make_run_term, prepare_scene
 from paper_artifact.scene.find import find_mesh
@@ -27,9 +26,8 @@ train(scene, study_config(shape, steps=2, **changes), device="cpu")  # the kerne
 term, _ = make_run_term(config, mesh)
 cpu, wall = time.process_time(), time.perf_counter()
 outcome = train(scene, config, term=term, device="cpu")
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall, "peak_mb": peak,
-                  "seconds": outcome.seconds, "loss": outcome.losses[-1]}))
+print(json.dumps({"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall,
+                  "peak_mb": peak_memory_mib(), "seconds": outcome.seconds, "loss": outcome.losses[-1]}))
 """
 
 
@@ -40,14 +38,4 @@ def run_row(shape: str, condition: str, steps: int, threads: int, results: Path,
     results: folder for the scene; changes: other values than `study_config`'s (numbers). Raises RuntimeError
     with the child's last line when it fails.
     """
-    child = subprocess.run(
-        [sys.executable, "-c", _CHILD, json.dumps([shape, condition, steps, threads, str(results), changes])],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    if child.returncode:
-        raise RuntimeError(
-            f"the benchmark run failed: {(child.stderr.strip().splitlines() or ['no message'])[-1]}"
-        )
-    return json.loads(child.stdout.strip().splitlines()[-1])
+    return run_child(_PROGRAM, [shape, condition, steps, threads, str(results), changes])[0]

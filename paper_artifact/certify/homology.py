@@ -14,9 +14,9 @@ elimination, so their agreement is a check.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.certify.simplices import Complex, labels_of_graph
+from paper_artifact.kernel_cache import njit
 
 # Beyond this many bits of dense equations the dual count is left out; no surface comes near.
 DUAL_LIMIT = 400_000_000

@@ -55,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"missing: {config.shape} {config.condition} seed {config.seed}")
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
         return 0
-    with tqdm(total=1, disable=arguments.quiet, unit="run") as bar:
+    # Without tqdm's own time left, which knows nothing of the steps.
+    layout = "{desc} |{bar:20}| {n_fmt}/{total_fmt} runs [{elapsed}]"
+    with tqdm(total=1, disable=arguments.quiet, bar_format=layout) as bar:
 
         def report(text: str, ended: int, total: int) -> None:
             bar.total = total

@@ -30,7 +30,7 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     scene = Scene(
         path=Path(),
         names=tuple(f"view {i}" for i in range(count)),
-        images=np.ones((count, size, size, 3), dtype=np.float32),
+        images=np.full((count, 3, size, size), 255, dtype=np.uint8),
         world_to_clip=matrices,
         camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
         background=np.ones(3, dtype=np.float32),

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from paper_artifact.errors import InputError
+from paper_artifact.kernel_cache import njit
 
 MOST_POINTS = 400_000_000  # grid points, 1.6 GB
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.lanes import (
     WIDTH,
     add_to_rows,
@@ -112,7 +112,7 @@ def _geometry(pairs, size):
     return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * _QUEUE) * half
 
 
-@numba.njit(_nrt=False, error_model="numpy")
+@njit(_nrt=False, error_model="numpy")
 def _serve_inside(pairs, count, planes, size, corners):
     # Add what the first `count` <= 16 pairs of the queue pull, in the middle and twice since from both
     # pixels, to corners.
@@ -123,7 +123,7 @@ def _serve_inside(pairs, count, planes, size, corners):
     add_to_rows(corners, t, _corners(here, there, middle, 2.0 * pull, splat(0.0), below, where))
 
 
-@numba.njit(_nrt=False, error_model="numpy")
+@njit(_nrt=False, error_model="numpy")
 def _serve_edges(pairs, count, planes, size, corners):
     # Add what the first `count` <= 16 pairs of the queue pull, two triangles each, to corners.
     x, y, x_q, y_q, below, half, scale, at, pull = _geometry(pairs, size)
@@ -184,7 +184,7 @@ def _drop_served(pairs):
         store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
     """Add the edge gradient of one view to vertex_gradient (T,3,3) float32, world.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.extending import intrinsic
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.lane_type import F32, WIDTH, Lanes, call, first_lanes, int32, shuffle, splatted
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def aligned_zeros(count):
     """Return `count` float32 zeros that begin at a multiple of 64 bytes: no vector crosses a cache line."""
     room = np.zeros(count + WIDTH, np.float32)

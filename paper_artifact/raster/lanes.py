@@ -1,6 +1,6 @@
 """Vectors in numba kernels: values of several float32, int32 or bool that one instruction works on.
 
-    @numba.njit
+    @njit(cache=True)
     def scale(x, out):  # out = 2·x + 1, any length
         for i in range(0, len(x), WIDTH):
             v = load_part(x, i, len(x) - i)
@@ -62,16 +62,14 @@ for AVX2; the name alone does not. Nothing here asks LLVM to reorder anything: b
 machine has FMA, on nothing else. Parts are masked instructions with AVX, one branch a lane elsewhere: use
 them at ends.
 """
-# A kernel elsewhere that is cached does not notice a change here: numba's cache looks at the kernel's own
-# file only.
 
 from __future__ import annotations
 
-import numba
 from llvmlite import ir
 from numba.core import types
 from numba.core.extending import intrinsic
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.lane_memory import (
     add_to_rows,
     aligned_zeros,
@@ -111,7 +109,7 @@ __all__ = [
 
 # Decorator of a kernel's helper: LLVM puts it where it is called. It borrows its arrays, that is, must make
 # none itself: counting references to each argument, atomically, would cost more than most helpers do.
-inlined = numba.njit(forceinline=True, _nrt=False)
+inlined = njit(forceinline=True, _nrt=False)
 
 
 def _lanewise(count: int, emit, result_of=lambda kind: kind):

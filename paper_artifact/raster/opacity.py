@@ -3,9 +3,9 @@ stochastic masking."""
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.lanes import (
     WIDTH,
     bits,
@@ -21,7 +21,7 @@ from paper_artifact.raster.lanes import (
 from paper_artifact.raster.visibility import along, inside, line
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def opacity_backward(planes, met, opacity, width, surface, error, weight, opacity_gradient):
     """Add the opacity gradient of one view to opacity_gradient (T,3) float32 (DiffSoup, path 2).
 

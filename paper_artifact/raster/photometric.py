@@ -14,10 +14,10 @@ would cost eight bytes a pixel and channel for little time.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from paper_artifact.errors import InputError
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.lanes import (
     WIDTH,
     absolute,
@@ -149,7 +149,7 @@ def _ssim_terms(mx, my, xx, yy, xy):
     return value, by_mean - 2.0 * mx * by_square - my * by_cross, by_square, by_cross
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _active_rectangle(colour, target):
     # First and last row and column where the two differ; last row -1 where they do not.
     height, width = colour.shape[1], colour.shape[2]
@@ -175,7 +175,7 @@ def _active_rectangle(colour, target):
     return row0, row1, column0, column1
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def photometric_view(colour, target, views, gradient, error):
     """Return one view's share of the loss (already divided by `views`) and write its gradient and its error
     image.

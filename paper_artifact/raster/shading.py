@@ -13,9 +13,9 @@ r)·x[0:3] + r·y with r = x[3].
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, INPUTS
 from paper_artifact.raster.lanes import (
     WIDTH,
@@ -68,7 +68,7 @@ def _sigmoid(x):
     return fma(0.5 * t, p / q, 0.5)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _padded(features):
     out = np.zeros((len(features), 3, _PADDED), np.float32)
     for t in range(len(features)):
@@ -212,7 +212,7 @@ def _activate(pixel, triangle, b0, b1, k, width, height, rays, features, w1, c1,
     store(kept, at + (_Y + 2) * WIDTH, _sigmoid(y2))
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def shade_forward(shown, covered, rays, features, mlp, colour):
     """Shade the visible fragments of one view into colour (3,H,W) float32, which comes in filled with the
     background.
@@ -314,7 +314,7 @@ def _feature_deltas(w1, deltas, delta, keep, g, by_blend):
     return x0, x1, x2, x3, x4, x5, x6, splat(0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def shade_backward(shown, covered, rays, features, mlp, colour_gradient, feature_gradient, mlp_gradient):
     """Add one view's dL/d(features, MLP) to feature_gradient (T,3,7) and to the six arrays of mlp_gradient,
     float32.

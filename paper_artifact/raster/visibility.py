@@ -23,9 +23,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.draws import draw_lanes
 from paper_artifact.raster.lanes import (
     WIDTH,
@@ -102,7 +102,7 @@ class Shown(NamedTuple):
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def set_up_triangles(clip, height, width, planes):
     """Fill planes from clip (T,3,4) float32, the clip-space corners; return how many triangles can cover a
     pixel.
@@ -205,7 +205,7 @@ def inside(values):
     return (m0 >= 0.0) & (m1 >= 0.0) & (m2 >= 0.0) & (z >= -1.0) & (z <= 1.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw(planes, kept, opacity, width, key, stochastic, surface):
     """Draw the first `kept` triangles of planes.order front to back into surface; return how many of them met
     no nearer survivor.
@@ -250,7 +250,7 @@ def draw(planes, kept, opacity, width, key, stochastic, surface):
     return met
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def list_visible(planes, met, width, surface, shown):
     """Fill shown from a drawn surface; return the number of visible fragments. met: what `draw` returned;
     width in pixels."""

@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.bench.persistence import CLOUDS as DRAWN
-from paper_artifact.bench.persistence import growth_exponent, persistence_rows
+from paper_artifact.bench.persistence import growth_text, persistence_rows
 from paper_artifact.catalogue import BASELINE, LOSS
 from paper_artifact.export.figures import new_figure
 from paper_artifact.record.environment import host, packages
@@ -79,7 +79,7 @@ def torus_rows(stored: pd.DataFrame) -> pd.DataFrame:
 def persistence_table(stored: pd.DataFrame) -> pd.DataFrame:
     """Return time per persistence step against M, torus cloud: ours, gudhi `safe` in the same process, their
     ratio, and the paper's (gudhi on its machine); then the largest M's time over the smallest's, and the
-    growth exponent p of time ~ M^p between them."""
+    growth exponent p of time ~ M^p, fitted over all sizes, with its standard error."""
     paper, own = published("cost").set_index("quantity"), torus_rows(stored)
     printed = paper.loc["persistence_ms"].set_index("samples")["printed"]
     table = pd.DataFrame(
@@ -98,22 +98,20 @@ def persistence_table(stored: pd.DataFrame) -> pd.DataFrame:
         "paper ms": paper["printed"].get(f"cost_ratio_{last['M']}_over_{first['M']}", "")
     }
     rows = own.to_dict("records")
-    table.loc["growth exponent"] = {name: round(growth_exponent(rows, key), 2) for name, key in times.items()}
+    table.loc["growth exponent"] = {name: growth_text(rows, key) for name, key in times.items()}
     return table.fillna("")
 
 
 def growth_table(stored: pd.DataFrame) -> pd.DataFrame:
-    """Return per cloud the exponents p of ours ~ M^p and gudhi's ~ M^p from the smallest to the largest M,
-    and that of the number of Delaunay tetrahedra: what no method that builds them can fall below; ratios at
-    both ends."""
+    """Return per cloud the exponents p of ours ~ M^p and gudhi's ~ M^p, fitted over all sizes, with their
+    standard errors, and that of the number of Delaunay tetrahedra: what no method that builds them can fall
+    below; ratios at both ends."""
     rows = {}
     for cloud, group in stored.groupby("cloud", sort=False):
         lines = group.to_dict("records")
         ends = (lines[0], lines[-1])
         exponents = {"ours": "fast_ms", "gudhi": "gudhi_ms", "tetrahedra": "tetrahedra"}
-        rows[cloud] = {
-            f"exponent, {name}": round(growth_exponent(lines, key), 2) for name, key in exponents.items()
-        }
+        rows[cloud] = {f"exponent, {name}": growth_text(lines, key) for name, key in exponents.items()}
         for line in ends:
             rows[cloud][f"tetrahedra per point, M = {line['M']}"] = round(line["tetrahedra"] / line["M"], 1)
         rows[cloud] |= {f"gudhi / ours, M = {line['M']}": round(line["ratio"], 1) for line in ends}
@@ -155,9 +153,11 @@ def cost_figure(stored: pd.DataFrame) -> Figure:
 
 def share_table(collected: Collected) -> pd.DataFrame:
     """Return per shape what the loss adds to training, from the recorded C1 runs: its stage's seconds, those
-    over the photometric training's in the same run (percent), its share of training, and CPU seconds and peak
-    memory of whole runs (evaluation included) under C0 and C1; beside the seconds that the paper prints.
-    Means over seeds. Evaluation is the study's cost, not the method's, and left out of the percentages."""
+    over the photometric training's in the same run (percent), its share of training, and peak memory of whole
+    runs (evaluation included) under C0 and C1; beside the seconds that the paper prints. Medians over seeds.
+
+    Runs were made at different loads of the machine: ratios are within a run, and times of C0 and C1 are
+    compared in `speed.run_table` only. Evaluation is the study's cost, not the method's, and left out."""
     rows = {}
     for shape in dict.fromkeys(record["config"]["shape"] for record in collected.records):
         arms = {condition: collected.of(shape, condition) for condition in (BASELINE, LOSS)}
@@ -165,23 +165,16 @@ def share_table(collected: Collected) -> pd.DataFrame:
             continue
         loss = [record["timings"]["topology"] for record in arms[LOSS]]
         rest = [sum(record["timings"].values()) - record["timings"]["evaluate"] for record in arms[LOSS]]
-        added = np.mean([own / (training - own) for own, training in zip(loss, rest, strict=True)])
+        added = np.median([own / (training - own) for own, training in zip(loss, rest, strict=True)])
         rows[shape] = {
             "seeds": len(loss),
-            "loss adds s": round(np.mean(loss)),
+            "loss adds s": round(np.median(loss)),
             "loss adds %": round(100 * added),
             "share of training %": round(100 * added / (1 + added)),
         }
-        for name, value in (
-            ("CPU s", lambda record: record["cpu_seconds"]),
-            ("peak MiB", lambda record: record["host"]["peak_memory_mib"]),
-        ):
-            rows[shape] |= {
-                f"{name} {arm}": round(np.mean(list(map(value, found)))) for arm, found in arms.items()
-            }
+        for arm, found in arms.items():
+            peaks = [record["host"]["peak_memory_mib"] for record in found]
+            rows[shape][f"peak MiB {arm}"] = round(np.median(peaks))
     paper = published("cost").set_index("quantity")["printed"]
-    rows["paper (training on a GPU, gudhi on the CPU)"] = {
-        "loss adds s": paper["loss_seconds_per_run"],
-        f"CPU s {BASELINE}": f"{paper['photometric_seconds_low']}–{paper['photometric_seconds_high']}",
-    }
+    rows["paper (gudhi on the CPU)"] = {"loss adds s": paper["loss_seconds_per_run"]}
     return pd.DataFrame(rows, dtype=object).T.rename_axis("shape").fillna("")

@@ -27,6 +27,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "staircases of the external shapes, M = 2048 … 20000, 40 seeds at 2048, five at the others",
     ),
     "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "speed": (
+        "measure_speed",
+        "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
+    ),
     "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
@@ -45,6 +49,11 @@ def write(name: str, folder: Path | str = MEASURED, progress: Callable[[str], No
     table, path = getattr(module, MEASUREMENTS[name][0])(progress=progress), Path(folder) / f"{name}.csv"
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     return path
+
+
+def find(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:
+    """Return the stored measurement `name`, an empty table where it has not been made yet."""
+    return read(name, folder) if (Path(folder) / f"{name}.csv").is_file() else pd.DataFrame()
 
 
 def read(name: str, folder: Path | str = MEASURED) -> pd.DataFrame:

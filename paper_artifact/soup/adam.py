@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 
+from paper_artifact.kernel_cache import njit
 from paper_artifact.soup.state import Soup
 from paper_artifact.soup.vector_adam import VectorAdam
 
@@ -24,7 +24,7 @@ _KEEP1, _KEEP2 = np.float32(_BETA1), np.float32(_BETA2)
 _NEW1, _NEW2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def adam(value, gradient, mean, square, rate, eps):
     """Take one step of Adam in place; all arrays (n,) float32.
 
@@ -37,7 +37,7 @@ def adam(value, gradient, mean, square, rate, eps):
         value[i] -= rate * mean[i] / (np.sqrt(square[i]) + eps)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def vector_adam(value, gradient, mean, square, rate, eps):
     """As `adam`, but with one second moment per vector: value, gradient and mean (3·n,), square (n,)."""
     for i in range(len(square)):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
+from paper_artifact.kernel_cache import njit
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES
 from paper_artifact.soup.state import Soup, initial_mlp
@@ -17,7 +17,7 @@ RANDOM_PART = 1.0 / 3.0  # DiffSoup takes 10,000 farthest points and 5,000 rando
 RADIUS_OF_SPACING = 0.25  # a first triangle's circumradius ÷ mean spacing of the centres
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def farthest_points(points, count, first):
     """Return `count` indices (int64) of points (n,3) float64, each farthest from those before it, starting at
     `first`."""

@@ -6,11 +6,12 @@ Lengths are in NDC with x scaled by width/height, so an image is 2 units high: "
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from paper_artifact.kernel_cache import njit
 
-@numba.njit(inline="always")
+
+@njit(inline="always")
 def _project(matrix, point, out):
     for row in range(4):
         out[row] = (
@@ -18,7 +19,7 @@ def _project(matrix, point, out):
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _squared_length(a, b, aspect):
     # Squared screen length of a clip-space edge; 0 when an end lies outside the clip cube, so that the edge
     # is never split.
@@ -32,7 +33,7 @@ def _squared_length(a, b, aspect):
     return dx * dx + dy * dy
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
     """Bisect the longest screen-space edge of each wanted triangle, and of its halves, until none exceeds
     `limit` (NDC).

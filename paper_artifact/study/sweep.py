@@ -7,27 +7,17 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean
+from queue import SimpleQueue
 
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.record.store import read_record, recorded_path, write_record
 from paper_artifact.scene.find import find_mesh
+from paper_artifact.study.estimate import Estimate, Outcome, Step, run_name
 from paper_artifact.study.worker import failure_of, start_run
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One run's end: its configuration, seconds of wall time, and the reason it failed (None when it is
-    recorded)."""
-
-    config: RunConfig
-    seconds: float
-    failure: str | None
 
 
 def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
@@ -43,45 +33,13 @@ def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
     return todo
 
 
-class Estimate:
-    """Remaining wall time, from the runs that this sweep recorded: by condition where there are any, else
-    their mean."""
-
-    def __init__(self, todo: list[RunConfig], workers: int) -> None:
-        self._left = [config.condition for config in todo]
-        self._workers, self._seconds = workers, {}
-
-    def ended(self, outcome: Outcome) -> None:
-        """Take note of an ended run; how long a failing one took tells nothing about the others."""
-        self._left.remove(outcome.config.condition)
-        if outcome.failure is None:
-            self._seconds.setdefault(outcome.config.condition, []).append(outcome.seconds)
-
-    def seconds(self) -> float | None:
-        """Return the seconds left, None while nothing is known. Runs in progress count in full."""
-        if not self._seconds and self._left:
-            return None
-        common = (
-            mean(value for values in self._seconds.values() for value in values) if self._seconds else 0.0
-        )
-        total = sum(
-            mean(self._seconds[condition]) if condition in self._seconds else common
-            for condition in self._left
-        )
-        return total / max(1, min(self._workers, len(self._left)))
-
-    def text(self) -> str:
-        """Return "about N min left", or that it is not known yet."""
-        seconds = self.seconds()
-        return (
-            "time left unknown until a run ends" if seconds is None else f"about {seconds / 60:.0f} min left"
-        )
-
-
-def run_processes(todo: list[RunConfig], results: Path, workers: int, device: str) -> Iterator[Outcome]:
-    """Yield outcomes as they end; each run is a process of its own (`paper_artifact.study.worker`), at most
-    `workers` at once."""
+def run_processes(
+    todo: list[RunConfig], results: Path, workers: int, device: str
+) -> Iterator[Outcome | Step]:
+    """Yield outcomes as runs end, and steps meanwhile; each run is a process of its own
+    (`paper_artifact.study.worker`), at most `workers` at once."""
     children: set[subprocess.Popen] = set()
+    events: SimpleQueue[Step | Future[Outcome]] = SimpleQueue()
     stopping, lock = threading.Event(), threading.Lock()
 
     def one(config: RunConfig) -> Outcome:
@@ -92,17 +50,23 @@ def run_processes(todo: list[RunConfig], results: Path, workers: int, device: st
                     return Outcome(config, 0.0, "not started: the sweep was stopped")
                 child = start_run(config_values(config), results, device)
                 children.add(child)
-            failure = failure_of(child)
+            failure = failure_of(
+                child, lambda step: events.put(Step(config, step, time.perf_counter() - begin))
+            )
             children.discard(child)
         except OSError as error:
             failure = f"the process could not be started: {error.strerror}"
         return Outcome(config, time.perf_counter() - begin, failure)
 
     with ThreadPoolExecutor(workers) as pool:
-        futures = [pool.submit(one, config) for config in todo]
+        for config in todo:
+            pool.submit(one, config).add_done_callback(events.put)
         try:
-            for future in as_completed(futures):
-                yield future.result()
+            left = len(todo)
+            while left:
+                event = events.get()
+                left -= isinstance(event, Future)
+                yield event.result() if isinstance(event, Future) else event
         finally:  # also on Ctrl-C: checkpoints let the killed runs resume
             with lock:
                 stopping.set()
@@ -160,7 +124,7 @@ def sweep(
     report: Callable[[str, int, int], None] | None = None,
 ) -> list[Outcome]:
     """Run what is not recorded yet and return the outcomes; report(text, ended, total) is called when a run
-    ends.
+    ends and, for local processes, every few seconds of each run's training.
 
     scheduler: address of a Dask scheduler, None for local processes. Raises InputError for bad input before
     any run starts.
@@ -182,14 +146,14 @@ def sweep(
             if client is None
             else run_dask(todo, results, client, device)
         ) as running:
-            for outcome in running:
-                outcomes.append(outcome)
-                estimate.ended(outcome)
+            for event in running:
+                if isinstance(event, Step):
+                    estimate.stepped(event)
+                    text = estimate.running()
+                else:
+                    outcomes.append(event)
+                    estimate.ended(event)
+                    text = f"{run_name(event.config)} {'FAILED' if event.failure else 'done'}"
                 if report:
-                    name = f"{outcome.config.shape} {outcome.config.condition} seed {outcome.config.seed}"
-                    report(
-                        f"{name} {'FAILED' if outcome.failure else 'done'}; {estimate.text()}",
-                        len(outcomes),
-                        len(todo),
-                    )
+                    report(f"{text}; {estimate.text()}", len(outcomes), len(todo))
     return outcomes

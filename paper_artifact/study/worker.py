@@ -12,7 +12,12 @@ import os
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
+
+SIGN = "step "  # begins a line on the run's stderr that says how far it is; all others are its complaints
+EVERY = 5.0  # seconds between two such lines
 
 
 def start_run(values: dict, results: Path | str, device: str) -> subprocess.Popen:
@@ -40,27 +45,51 @@ def start_run(values: dict, results: Path | str, device: str) -> subprocess.Pope
     )
 
 
-def failure_of(child: subprocess.Popen) -> str | None:
+def failure_of(child: subprocess.Popen, stepped: Callable[[int], object] | None = None) -> str | None:
     """Wait for a process of `start_run` and return why it failed in one line, None when its record is
-    written."""
+    written.
+
+    stepped(step) is called now and then while it trains.
+    """
+    reason = ""
     with child:
-        errors = child.stderr.read()  # not communicate(), which would close stdin and so end the run
+        for line in map(str.strip, child.stderr):  # not communicate(), which would close stdin: the run's end
+            if line.startswith(SIGN) and line[len(SIGN) :].isdecimal():
+                if stepped is not None:
+                    stepped(int(line[len(SIGN) :]))
+            else:
+                reason = line or reason
         child.wait()
     if child.returncode < 0:
         return f"the process was ended by signal {-child.returncode}"
-    lines = errors.strip().splitlines() or [f"the process ended with exit code {child.returncode}"]
-    return lines[-1] if child.returncode else None
+    return (reason or f"the process ended with exit code {child.returncode}") if child.returncode else None
 
 
-def run_one(values: dict, results: Path | str, device: str = "cpu") -> dict:
-    """Run the configuration (a dict) and return its record; one CPU thread."""
+def tell_steps() -> Callable[[int, str], None]:
+    """Return a `progress` for a run that writes lines for `failure_of` to stderr: the first step, then one
+    every EVERY seconds."""
+    due = 0.0
+
+    def tell(step: int, text: str) -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + EVERY
+            print(f"{SIGN}{step}", file=sys.stderr, flush=True)
+
+    return tell
+
+
+def run_one(
+    values: dict, results: Path | str, device: str = "cpu", progress: Callable[[int, str], None] | None = None
+) -> dict:
+    """Run the configuration (a dict) and return its record; one CPU thread. progress: see `pipeline.run`."""
     import torch
 
     from paper_artifact.config import config_from
     from paper_artifact.pipeline import run
 
     torch.set_num_threads(1)
-    return run(config_from(values), results=Path(results), device=device)
+    return run(config_from(values), results=Path(results), device=device, progress=progress)
 
 
 def main() -> int:
@@ -73,7 +102,7 @@ def main() -> int:
     from paper_artifact.train.state import TrainingError
 
     try:
-        run_one(json.loads(sys.argv[1]), sys.argv[2], sys.argv[3])
+        run_one(json.loads(sys.argv[1]), sys.argv[2], sys.argv[3], tell_steps())
     except (InputError, TrainingError) as error:
         print(error, file=sys.stderr)
         return 1

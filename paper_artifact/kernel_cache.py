@@ -1,0 +1,109 @@
+"""numba's `njit` for the package's kernels, with a cache that is never stale and never in the way.
+
+numba keeps compiled kernels beside their module, in __pycache__, or where NUMBA_CACHE_DIR says, and takes
+them again as long as that one file is the same. But a kernel also holds what it took from other modules:
+functions that were compiled into it, and constants. So a kernel of this package is stamped with the text of
+its module and of every module of the package that this one imports, directly or not: after an edit, exactly
+what may depend on it is compiled again.
+
+Where no folder can be written, numba raises. Here the kernels go to a temporary folder, which child processes
+share and the end of this process removes; that is said once, on stderr.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import hashlib
+import os
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from numba import config
+from numba import njit as njit
+from numba.core import caching
+
+PACKAGE = Path(__file__).parent
+_VARIABLE = "NUMBA_CACHE_DIR"
+_IMPORT = re.compile(r"^(?:from|import) +(paper_artifact[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
+_NUMBAS_OWN = (  # where numba itself looks, in its order
+    caching.UserProvidedCacheLocator,
+    caching.InTreeCacheLocator,
+    caching.UserWideCacheLocator,
+)
+
+
+def imported_files(path: Path, package: Path = PACKAGE) -> set[Path]:
+    """Return the package's files that the module at `path` imports at its top level, itself not counted."""
+    found = set()
+    for module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
+        base = package.joinpath(*module.split(".")[1:])
+        for candidate in (base, *(base / name for name in re.findall(r"\w+", names))):
+            found |= {candidate.with_suffix(".py"), candidate / "__init__.py"}
+    return {file for file in found - {path} if file.is_file()}
+
+
+@functools.cache
+def source_stamp(path: Path, package: Path = PACKAGE) -> str:
+    """Return the sha256 (hex) of the module at `path` and of all that it imports of the package, directly or
+    not."""
+    seen, waiting = set(), {path}
+    while waiting:
+        file = waiting.pop()
+        seen.add(file)
+        waiting |= imported_files(file, package) - seen
+    content = hashlib.sha256()
+    for file in sorted(seen):
+        content.update(hashlib.sha256(file.read_bytes()).digest())
+    return content.hexdigest()
+
+
+class PackageLocator:
+    """Where a kernel of this package is kept, as numba asks for it; what is not this package's stays
+    numba's."""
+
+    def __init__(self, place: caching._CacheLocator, path: Path) -> None:
+        """Keep the kernels of the module at `path` where numba's locator `place` does."""
+        self._place, self._path = place, path
+
+    @classmethod
+    def from_function(cls, function, file: str) -> PackageLocator | None:
+        """Return the locator of a function in a file, None for a file that is not of this package."""
+        path = Path(file)
+        if PACKAGE not in path.parents or not path.is_file():
+            return None
+        place = _first_place(function, file)
+        if place is None:
+            _use_temporary_folder()
+            place = _first_place(function, file)
+        return None if place is None else cls(place, path)
+
+    def get_source_stamp(self) -> str:
+        """Return what must be equal for a kept kernel to be taken."""
+        return source_stamp(self._path)
+
+    def __getattr__(self, name: str):
+        return getattr(self._place, name)  # folder, its making, the line number that tells kernels apart
+
+
+def _first_place(function, file: str) -> caching._CacheLocator | None:
+    places = (locator.from_function(function, file) for locator in _NUMBAS_OWN)
+    return next((place for place in places if place is not None), None)
+
+
+def _use_temporary_folder() -> None:
+    folder = tempfile.mkdtemp(prefix="paper_artifact-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ[_VARIABLE] = config.CACHE_DIR = folder  # child processes find it there and say nothing
+    print(
+        "paper_artifact: compiled kernels cannot be kept (neither beside the package nor in the user's cache "
+        "folder), so each start compiles them again, about half a minute; "
+        f"{_VARIABLE} names a folder that can be written",
+        file=sys.stderr,
+    )
+
+
+caching.CacheImpl._locator_classes.insert(0, PackageLocator)
