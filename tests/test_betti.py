@@ -189,7 +189,7 @@ def test_the_audit_says_what_contradicts_the_words(settings):
     assert said("sphere", (1, 0, 1), **settings) == []
     assert said("torus", (1, 2, 1), **settings) == []
     (void,) = said("sphere", (1, 0, 0), **settings)
-    assert void.startswith("you said no void; the images show 1 void more (the longest has ")
+    assert void.startswith("you said no void; the images show 1 void (the longest has ")
     (loops,) = said("sphere", (1, 2, 1), **settings)
     assert loops.startswith("you said 2 loops; none so far: the next candidate has 0.")
     (loop,) = said("torus", (1, 3, 1), **settings)

@@ -55,7 +55,7 @@ def test_the_command_line_trains_in_words_and_records_them(results, capsys):
     assert cli.main([*arguments[:-2], "--betti=1,0,0", arguments[-1]]) == 0
     printed = capsys.readouterr()
     for stream in printed:
-        assert "you said no void; the images show 1 void more" in stream
+        assert "you said no void; the images show 1 void" in stream
     assert "warning: you said" in printed.out and "step 14: you said" in printed.err
     (record,) = find_records(results / "runs")
     assert record["config"]["loss"]["betti"] == [1, 0, 0] and "bundle" not in record

@@ -94,7 +94,7 @@ def contradictions(statement: Statement, report: Mapping[str, Any], config: Loss
             )
         if each["surplus"]:
             found.append(
-                f"{said}; the images show {_counted(each['surplus'], dimension)} more "
+                f"{said}; the images show {_counted(each['surplus'], dimension)}{' more' if count else ''} "
                 f"(the longest has {margins[each['wanted']]:.1f} floors), which will be filled in or cut"
             )
     return found
