@@ -117,6 +117,19 @@ CONDITIONS: tuple[Condition, ...] = (
         "#a1d99b",
         allocation=replace(PRIOR, centres="random", spread=3.0),
     ),
+    # Not the paper's: no ground truth, Betti numbers in words (`paper_artifact.topology.betti`).
+    Condition(
+        "T1",
+        "Betti numbers in words; other bars above the floor to the diagonal",
+        "#d81b60",
+        LossConfig("betti"),
+    ),
+    Condition(
+        "T2",
+        "Betti numbers in words; all other bars of H1 and H2 to the diagonal",
+        "#f48fb1",
+        LossConfig("betti", guard=0.0, suppress="all"),
+    ),
 )
 
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
@@ -191,10 +204,18 @@ def study_config(
                 f"condition {condition} has no {name}, so it takes no {name} settings ({', '.join(asked)})"
             )
         if part is not None:
-            shared = {field.name for field in fields(part)} & {"samples", "dimensions", "bundle_seed"}
-            own = {} if row is None else {name: getattr(row, name) for name in shared}
-            parts[name] = with_changes(part, own | dict(asked))
+            parts[name] = with_changes(part, _of_shape(row, part) | dict(asked))
     return replace(config, **parts)
+
+
+def _of_shape(row: Shape | None, part: LossConfig | AllocationConfig) -> dict[str, Any]:
+    """Return what the shape's row says about that part of a configuration."""
+    if row is None:
+        return {}
+    if getattr(part, "kind", None) == "betti":
+        return {"samples": row.samples, "betti": (row.features[0] + 1, *row.features[1:])}
+    shared = {field.name for field in fields(part)} & {"samples", "dimensions", "bundle_seed"}
+    return {name: getattr(row, name) for name in shared}
 
 
 def check(rows: Sequence[Any], word: str) -> dict[str, Any]:

@@ -21,7 +21,9 @@ DEFAULTS_VERSION = 1
 # versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
-KINDS = ("topology", "repulsion")
+KINDS = ("topology", "repulsion", "betti")
+SUPPRESS = ("floor", "all")
+AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 CENTRES = ("topological", "random")
 LEVERS = ("resampling", "start")
 FLOOR_SOURCES = ("bundle", "live")
@@ -35,10 +37,13 @@ DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500
 class LossConfig:
     """What a condition adds to the photometric loss. Raises InputError for a value out of range.
 
-    Lengths are divided by the ground truth's bounding-box diagonal.
+    Lengths are divided by the ground truth's bounding-box diagonal; for the kind "betti", which knows none,
+    by that of the SfM cloud.
     """
 
-    kind: str = "topology"  # "topology": matched persistence (paper §3.3); "repulsion": the control C2 (§3.5)
+    # "topology": matched persistence (paper §3.3); "repulsion": the control C2 (§3.5); "betti": Betti numbers
+    # instead of a target diagram (`paper_artifact.topology.betti`)
+    kind: str = "topology"
     rho: float = (
         0.1  # weighted topology gradient ÷ photometric gradient, norms at the first active step (§3.4)
     )
@@ -47,7 +52,7 @@ class LossConfig:
     noise: float = 0.0  # standard deviation of the noise that only the plan sees (C7)
     repulsion_radius: float = 4.0  # reach of the control, in median spacings of the target
     curvature_weighted: bool = False  # weigh each bar by the curvature at its samples (C4; our definition)
-    samples: int = 2048  # M: points of the live cloud and of the target bundle
+    samples: int = 2048  # M: points of the live cloud and of the target bundle; 0 ("auto"): see AUTO
     dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant target bar
     bundle_seed: int = 0  # of the target bundle's samples
     calibration_batches: int = 1  # batches whose gradient norms are averaged when λ is set; paper: one
@@ -55,19 +60,33 @@ class LossConfig:
     floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
     fallback: str = "detach"  # for a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
     method: str = "fast"  # alpha persistence by our kernels ("fast") or by gudhi (the oracle)
+    # Of the kind "betti" alone.
+    betti: tuple[int, ...] | None = None  # b0, b1, b2 as the samples show them: components, loops, voids
+    guard: float = 0.5  # a bar shorter than this fraction of the live floor is not taken for a wanted one
+    suppress: str = "floor"  # pushed to the diagonal: "floor" what exceeds the live floor; "all" in H1 and H2
+    pull: float = 2.0  # how far beyond a wanted bar's death its target lies, in live median spacings
 
     def __post_init__(self) -> None:
         _one_of("loss kind", self.kind, KINDS)
+        _one_of("suppress rule", self.suppress, SUPPRESS)
         _one_of("floor_source", self.floor_source, FLOOR_SOURCES)
         _one_of("Gabriel fallback", self.fallback, FALLBACKS)
         _one_of("persistence method", self.method, METHODS)
         for name in ("rho", "repulsion_radius"):
             _positive(self, name)
-        if not 0 <= self.noise < math.inf:
-            raise InputError(f"noise must not be negative, got {self.noise}")
+        for name in ("noise", "guard", "pull"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
+        if self.samples == 0 and self.kind != "betti":
+            raise InputError(
+                f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1, T2); for {self.kind!r} "
+                "give the number that `python -m paper_artifact audit` finds"
+            )
         lowest = {"samples": 4, "bundle_seed": 0, "calibration_batches": 1, "refresh_every": 0}
         for name, least in lowest.items():
-            _at_least(self, name, least)
+            if name != "samples" or self.samples != 0:
+                _at_least(self, name, least)
+        _check_betti(self)
         if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
         if self.dimensions is not None and not (self.dimensions and set(self.dimensions) <= {0, 1, 2}):
@@ -165,6 +184,11 @@ class RunConfig:
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
         if self.loss is not None and self.loss.refresh_every < 1:
             raise InputError("refresh_every must be at least 1 in a run, got 0")
+        if self.loss is not None and self.loss.kind == "betti" and self.loss.betti is None:
+            raise InputError(
+                f"condition {self.condition} needs the Betti numbers of {self.shape!r} in words: give "
+                "--betti b0,b1,b2, for example --betti 1,2,1 for one component, two loops and one void"
+            )
 
 
 Config = TypeVar("Config", LossConfig, AllocationConfig, RunConfig)
@@ -263,6 +287,10 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
     text = str(kind)
     if isinstance(value, list):
         value = tuple(value)
+    if name == "samples" and value == AUTO:
+        value = 0
+    if name == "betti" and value is not None:
+        return value if isinstance(value, tuple) else (value,)  # `_check_betti` says what is wrong with it
     if "tuple" in text and isinstance(value, int) and not isinstance(value, bool):
         value = (value,)
     if "float" in text and "tuple" not in text and isinstance(value, int) and not isinstance(value, bool):
@@ -291,6 +319,22 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
         word = kind.__name__ if kind in (int, float, bool, str) else text
         raise InputError(f"{name} takes a value of kind {word}, got {value!r}")
     return value
+
+
+def _check_betti(loss: LossConfig) -> None:
+    """Raise InputError unless `betti` is None or three counts, and of a loss that takes them."""
+    numbers: Any = loss.betti
+    if numbers is None:
+        return
+    if loss.kind != "betti":
+        raise InputError(f"betti belongs to the loss kind 'betti' (conditions T1, T2), not to {loss.kind!r}")
+    words = "betti takes three whole numbers b0,b1,b2 (components, loops, voids)"
+    if not isinstance(numbers, tuple) or not all(type(each) is int for each in numbers) or len(numbers) != 3:
+        raise InputError(f"{words}, got {numbers!r}")
+    if min(numbers) < 0:
+        raise InputError(f"{words}, none of them negative, got {numbers}")
+    if numbers[0] == 0:
+        raise InputError(f"{words}; b0 counts the components and is at least 1, got {numbers}")
 
 
 def _at_least(config: Any, name: str, least: int) -> None:

@@ -39,14 +39,32 @@ if TYPE_CHECKING:
 DENSE = 20_000  # points of the target surface that hold an importance field
 
 
-def make_run_term(config: RunConfig, mesh: Mesh) -> tuple[TopologyTerm | None, Bundle | None]:
-    """Return (loss term, target bundle) of a configuration; (None, None), without any import, for no loss."""
+def make_run_term(
+    config: RunConfig,
+    mesh: Mesh | None,
+    points: np.ndarray | None = None,
+    *,
+    strict: bool = False,
+    tell: Callable[[str], None] | None = None,
+) -> tuple[TopologyTerm | None, Bundle | None]:
+    """Return (loss term, target bundle) of a configuration; (None, None), without any import, for no loss.
+
+    A loss in words has no bundle and needs no mesh, but the SfM cloud's `points` (P,3), world units. strict,
+    tell: see `TopologyTerm`. Raises InputError for a bundle without a bar, or a cloud too small or flat.
+    """
     if config.loss is None:
         return None, None
-    from paper_artifact.topology.bundle import build_from_mesh
     from paper_artifact.topology.term import TopologyTerm
 
     loss = config.loss
+    if loss.kind == "betti":
+        from paper_artifact.topology.words import words_term
+
+        assert points is not None
+        return words_term(loss, points, config.steps, config.seed, strict=strict, tell=tell), None
+    from paper_artifact.topology.bundle import build_from_mesh
+
+    assert mesh is not None
     bundle = build_from_mesh(
         mesh.vertices,
         mesh.faces,
@@ -108,17 +126,22 @@ def run(
     progress: Callable[[int, str], None] | None = None,
     device: str = "auto",
     again: bool = False,
+    strict: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> dict:
     """Return the record of one configuration: train, evaluate, write record and soup, or read what is there.
 
     results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even
-    if recorded. Raises InputError for bad input or a folder that is not writable, before any training.
+    if recorded. tell: called with each remark of a loss in words; strict: what contradicts its words is an
+    InputError. Raises InputError for bad input or a folder that is not writable, before any training.
     """
     check_device(device)
     mesh = mesh if mesh is not None else find_mesh(config.shape)
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
         return _matching(read_record(recorded), recorded, config, mesh)
-    term, bundle = make_run_term(config, mesh)  # before the scene: a loss without a target is told at once
+    in_words = config.loss is not None and config.loss.kind == "betti"
+    if not in_words:  # before the scene: a loss without a target is told at once
+        term, bundle = make_run_term(config, mesh)
     path = record_path(config, results / "runs")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -127,6 +150,8 @@ def run(
             f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
         ) from error
     scene = prepare_scene(config, mesh, results / "scenes")
+    if in_words:  # from the scene: the mesh is for the evaluation alone
+        term, bundle = make_run_term(config, None, scene.points, strict=strict, tell=tell)
     target = make_target(mesh, config.samples, cache=results / "targets")
     resampler, importance = make_run_allocation(config, mesh, scene.points)
     checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
@@ -166,8 +191,9 @@ def run(
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
     }
-    if term is not None and bundle is not None:
-        sections |= {"topology": term.log, "bundle": bundle.to_json()}
+    if term is not None:
+        name = "statement" if bundle is None else "bundle"
+        sections |= {"topology": term.log, name: term.target.to_json()}
     losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)

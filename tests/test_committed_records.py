@@ -12,6 +12,7 @@ from paper_artifact.config import RunConfig
 from paper_artifact.evaluate.scores import tail
 from paper_artifact.record.store import RUNS, config_of, read_record
 from paper_artifact.study.studies import STUDIES, study_configs
+from paper_artifact.topology.schedule import LEAST_RATIO
 
 RECORDS = sorted(RUNS.glob("*.json"))
 
@@ -46,3 +47,5 @@ def test_record(path: Path, study_runs):
             len([entry for entry in record["topology"] if entry["event"] == "lambda"]) == 1
             and len(refreshes) >= 190
         )
+        (weight,) = [entry for entry in record["topology"] if entry["event"] == "lambda"]
+        assert weight["topo_norm"] / weight["photo_norm"] > 100 * LEAST_RATIO

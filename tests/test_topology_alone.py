@@ -20,6 +20,7 @@ HEAVY = {"trimesh", "pandas", "matplotlib", "gudhi", "PIL", "networkx"}
 FACES = {
     "alpha": {"DiagramTensor", "Pairs", "alpha_diagrams", "alpha_persistence", "circumradius"},
     "topology": {
+        "BettiLoss",
         "Bundle",
         "Plan",
         "TopologyLoss",

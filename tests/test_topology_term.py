@@ -223,7 +223,7 @@ def test_conditions_are_the_papers():
     priors = [each.name for each in CONDITIONS if each.allocation is not None]
     assert priors == ["C5", "B1", "B2", "B3", "B4", "B5"] and losses["C5"] == losses["C1"]
     losses = {name: each for name, each in losses.items() if name not in priors}
-    assert list(losses) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h"]
+    assert list(losses) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h", "T1", "T2"]
     assert losses.pop("C0") is None and all(each.rho == 0.1 for each in losses.values())
     assert losses["C2g"].repulsion_radius == losses["C2"].repulsion_radius / 2
     assert losses["C3"].ramp is None and losses["C1"].ramp == (0.2, 0.5)

@@ -46,8 +46,11 @@ def circumradius(corners: Tensor) -> Tensor:
 
 def radius_and_gradient(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the circumradii (n,) and their gradients (n,k,3) by `corners` (n,k,3) float64, k = 1 to 4."""
+    # Rows last: one corner's coordinate of all simplices lies together, so thousands of them cost little.
+    rows_last = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
     with np.errstate(all="ignore"):  # a flat simplex overflows on purpose and is masked in `_finish`
-        return _KERNELS[corners.shape[1]](corners)
+        radius, gradient = _KERNELS[corners.shape[1]](rows_last)
+    return radius, np.moveaxis(gradient, -1, 0)
 
 
 class _Circumradius(torch.autograd.Function):
@@ -66,41 +69,42 @@ class _Circumradius(torch.autograd.Function):
         return torch.where(gradient == 0, gradient, upstream[:, None, None] * gradient)
 
 
+# Below: corners and gradients (k,3,n), vectors (3,n), numbers (n,).
+
+
 def _point(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros(len(corners)), np.zeros_like(corners)
+    return np.zeros(corners.shape[-1]), np.zeros_like(corners)
 
 
 def _edge(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    difference = corners[:, 1] - corners[:, 0]
+    difference = corners[1] - corners[0]
     length = np.sqrt(_dot(difference, difference))
-    direction = difference / np.where(length > 0, length, 1.0)[:, None] / 2
-    return length / 2, np.stack([-direction, direction], axis=1)
+    direction = difference / np.where(length > 0, length, 1.0) / 2
+    return length / 2, np.stack([-direction, direction])
 
 
 def _triangle(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    u, v = corners[1] - corners[0], corners[2] - corners[0]
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     normal = _cross(u, v)
     square = _dot(normal, normal)
     weight_1, weight_2 = vv * (uu - uv) / (2 * square), uu * (vv - uv) / (2 * square)
     # |u||v||u-v| / (2|u×v|), the paper's form, loses no digits to a cancellation in c - p0.
     radius = np.sqrt(uu * vv * _dot(u - v, u - v) / square) / 2
-    centre = weight_1[:, None] * u + weight_2[:, None] * v
-    weights = np.stack([1 - weight_1 - weight_2, weight_1, weight_2], axis=1)
-    return _finish(np.stack([np.zeros_like(u), u, v], axis=1), centre, weights, radius)
+    centre = weight_1 * u + weight_2 * v
+    weights = np.stack([1 - weight_1 - weight_2, weight_1, weight_2])
+    return _finish(np.stack([np.zeros_like(u), u, v]), centre, weights, radius)
 
 
 def _tetrahedron(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    u, v, w = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
+    u, v, w = (corners[i] - corners[0] for i in (1, 2, 3))
     vw, wu, uv = _cross(v, w), _cross(w, u), _cross(u, v)
-    volume = _dot(u, vw)[:, None]
+    volume = _dot(u, vw)
     # Cramer's rule on A y = ½ diag(A Aᵀ), rows of A = u, v, w: y is the circumcentre relative to p0.
-    centre = (_dot(u, u)[:, None] * vw + _dot(v, v)[:, None] * wu + _dot(w, w)[:, None] * uv) / (2 * volume)
-    inner = np.stack([_dot(centre, vw), _dot(centre, wu), _dot(centre, uv)], axis=1) / volume
-    weights = np.concatenate([1 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-    return _finish(
-        np.stack([np.zeros_like(u), u, v, w], axis=1), centre, weights, np.sqrt(_dot(centre, centre))
-    )
+    centre = (_dot(u, u) * vw + _dot(v, v) * wu + _dot(w, w) * uv) / (2 * volume)
+    inner = np.stack([_dot(centre, vw), _dot(centre, wu), _dot(centre, uv)]) / volume
+    weights = np.concatenate([1 - inner.sum(axis=0, keepdims=True), inner])
+    return _finish(np.stack([np.zeros_like(u), u, v, w]), centre, weights, np.sqrt(_dot(centre, centre)))
 
 
 def _finish(
@@ -109,22 +113,22 @@ def _finish(
     """Return (radius, β_i (p_i - c) / R), inf and 0 where the simplex is flat or the arithmetic
     overflowed.
     """
-    gradient = weights[:, :, None] * (relative - centre[:, None]) / radius[:, None, None]
-    bad = ~(np.isfinite(radius) & np.isfinite(gradient).all(axis=(1, 2)))
+    gradient = weights[:, None] * (relative - centre) / radius
+    bad = ~(np.isfinite(radius) & np.isfinite(gradient).all(axis=(0, 1)))
     if bad.any():
-        radius, gradient = np.where(bad, np.inf, radius), np.where(bad[:, None, None], 0.0, gradient)
+        radius, gradient = np.where(bad, np.inf, radius), np.where(bad, 0.0, gradient)
     return radius, gradient
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b).sum(axis=1)
+    return (a * b).sum(axis=0)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     # By components: np.cross costs ten times as much on a handful of rows.
-    x, y, z = a.T
-    p, q, r = b.T
-    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], axis=1)
+    x, y, z = a
+    p, q, r = b
+    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p])
 
 
 _KERNELS = {1: _point, 2: _edge, 3: _triangle, 4: _tetrahedron}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from paper_artifact.catalogue import BASELINE, CONDITIONS, study_config
+from paper_artifact.catalogue import BASELINE, CONDITIONS, shape_row, study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY, RunConfig, parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
@@ -36,7 +39,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="change a setting of the condition's loss, "
-        "e.g. --loss rho=0.2 --loss samples=8192 --loss dimensions=1,2",
+        "e.g. --loss rho=0.2 --loss samples=8192 --loss dimensions=1,2; samples=auto with --betti",
+    )
+    parser.add_argument(
+        "--betti",
+        metavar="B0,B1,B2",
+        help="the shape's topology in words, for T1 and T2: components, loops, voids, e.g. 1,2,1 for a torus "
+        "(default: the study's, for a shape of the study)",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="stop where the images contradict --betti, instead of a warning"
     )
     parser.add_argument(
         "--results",
@@ -65,9 +77,38 @@ def config_from_arguments(arguments: argparse.Namespace) -> RunConfig:
     for name in set(changes) & {"shape", "condition", "seed", "steps", "loss"}:
         raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
     loss = parse_changes(arguments.loss, "--loss")
+    if arguments.betti is not None:
+        if "betti" in loss:
+            raise InputError("--betti and --loss betti are one setting; give one of them")
+        loss |= parse_changes([f"betti={arguments.betti}"], "--betti")
     return study_config(
         arguments.shape, arguments.condition, arguments.seed, loss=loss, steps=arguments.steps, **changes
     )
+
+
+def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
+    """Return `config` with the M and the dimensions that the audit's rule finds for a mesh outside the study.
+
+    Unchanged for a shape of the study, for a loss without a target bundle, and where samples or dimensions
+    are among the loss settings `given`. Says why on stderr. Raises InputError when nothing is measurable.
+    """
+    loss, chosen = config.loss, {"samples", "dimensions"} & {*given}
+    if loss is None or loss.kind == "betti" or chosen or shape_row(config.shape):
+        return config
+    from paper_artifact.audit.measure import audit_mesh
+    from paper_artifact.audit.rule import WORKING
+    from paper_artifact.scene.find import find_mesh
+
+    mesh = find_mesh(config.shape, welded=False)
+    decision = audit_mesh(mesh, densities=WORKING, first_seed=loss.bundle_seed).decision
+    if decision.samples is None:
+        why = next((each for each in decision.reasons if each.startswith("0 of")), decision.reasons[-1])
+        raise InputError(
+            f"nothing of {config.shape} is measurable at M = {' or '.join(map(str, WORKING))}: {why} "
+            f"Train it with condition {BASELINE}, or give an M of your own with --loss samples=M"
+        )
+    print(*decision.reasons, sep="\n", file=sys.stderr)
+    return replace(config, loss=replace(loss, samples=decision.samples, dimensions=decision.dimensions))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -83,6 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     config = config_from_arguments(arguments)
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
+    config = audited(config, parse_changes(arguments.loss, "--loss"))
     set_thread_count(arguments.threads)
     torch.set_num_threads(1)
     with tqdm(
@@ -103,12 +145,25 @@ def run(arguments: argparse.Namespace) -> int:
                 progress=progress,
                 device=arguments.device,
                 again=arguments.again,
+                strict=arguments.strict,
+                tell=lambda text: bar.write(text, file=sys.stderr),
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
+    contradicted = warnings(record)
+    if contradicted and arguments.strict:  # of a run that is recorded, or was resumed behind its audit
+        raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
     summary(record)
+    for each in contradicted:
+        print(f"warning: {each}")
     print(f"record: {record_path(config_of(record), arguments.results / 'runs', record['defaults'])}")
     return 0
+
+
+def warnings(record: dict) -> list[str]:
+    """Return what a record says against the words that its loss was given."""
+    audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
+    return [each for event in audits for each in event["warnings"]]
 
 
 def summary(record: dict) -> None:

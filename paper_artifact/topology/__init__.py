@@ -1,13 +1,16 @@
 """The topology loss on top of `paper_artifact.alpha`, usable without scene or trainer.
 
-Rooms: floor and bundle (the target), matching and plan (one refresh), loss (raw points), term (a run).
+Rooms: floor and bundle (the target), statement and betti (Betti numbers in its place), density (which M for
+them), matching and plan (one refresh), loss (raw points), term (a run).
 
     from paper_artifact.topology import TopologyLoss, build_bundle
 
     loss = TopologyLoss(build_bundle(target_points, diagonal))
     loss(points).backward()
+    BettiLoss((1, 2, 1))(points).backward()  # no target: one component, two loops, one void
 """
 
+from paper_artifact.topology.betti import BettiLoss as BettiLoss
 from paper_artifact.topology.bundle import Bundle as Bundle
 from paper_artifact.topology.bundle import build_bundle as build_bundle
 from paper_artifact.topology.bundle import build_from_mesh as build_from_mesh

@@ -1,6 +1,7 @@
 """The plan: the frozen combinatorics of one refresh, and the loss it stands for.
 
-Everything is divided by the bundle's diagonal (births, deaths, targets, floor: radius / diagonal).
+`build_plan` aims at a bundle's bars; `betti.build_betti_plan` makes its plan from the same parts. Everything
+is divided by the diagonal of bundle or statement (births, deaths, targets, floor: radius / diagonal).
 
 Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target
 at the same M ("locked for all live evaluations", paper §3.1), so the objective is one function during a run
@@ -10,6 +11,7 @@ own 6 r_med instead; both are reported at every refresh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -73,6 +75,23 @@ class Plan:
         return loss_value(positions, self._arrays)
 
 
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """Which live bars of one dimension are pulled by what, n times."""
+
+    rows: np.ndarray  # (n,) int64 into the live bars
+    targets: np.ndarray  # (n,) int64 into the target bars, NONE for the diagonal
+    kinds: np.ndarray  # (n,) int64: MATCHED, RECRUITED, DIAGONAL
+    aims: np.ndarray  # (m,2) float64: the target bars
+    deaths_only: bool = False  # births of target bars pull nothing
+    report: dict = field(default_factory=dict)  # JSON-able: what is added to the report, or replaced in it
+
+
+Claim = Callable[
+    [int, np.ndarray], Claims
+]  # (dimension, its live bars (k,2) float64) → what is pulled by what
+
+
 def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig | None = None) -> Plan:
     """Return the plan of a live `cloud` (M,3) float64, divided by the bundle's diagonal.
 
@@ -82,12 +101,31 @@ def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig | None = No
     config = LossConfig() if config is None else config
     live_floor = measurement_floor(cloud, 1.0, bundle.floor_multiplier)
     floor = bundle.floor if config.floor_source == "bundle" else live_floor
+
+    def claim(dimension: int, bars: np.ndarray) -> Claims:
+        return _claims(bars, bundle.bars[dimension], floor, config.recruitment)
+
+    return make_plan(cloud, bundle.dimensions, claim, floor, live_floor, config)
+
+
+def make_plan(
+    cloud: np.ndarray,
+    dimensions: tuple[int, ...],
+    claim: Claim,
+    floor: float,
+    live_floor: float,
+    config: LossConfig,
+) -> Plan:
+    """Return the plan of `cloud` (M,3) float64, divided by its frame's diagonal.
+
+    It holds what `claim` says of the bars of each of the `dimensions`, and whether that passes the gate.
+
+    floor: lifetimes above it are significant, / D; live_floor: the cloud's own, for the report.
+    """
     pairs = alpha_persistence(cloud, method=config.method)
     parts, failing, reports = [], [], {}
-    for dimension in bundle.dimensions:
-        part, failed, report = _plan_dimension(
-            cloud, pairs[dimension], bundle.bars[dimension], floor, dimension, config
-        )
+    for dimension in dimensions:
+        part, failed, report = _plan_dimension(cloud, pairs[dimension], claim, floor, dimension, config)
         parts.append(part)
         failing += failed
         reports[str(dimension)] = report
@@ -98,25 +136,16 @@ def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig | None = No
     return Plan(pulls, len(cloud), report, tuple(failing))
 
 
-@dataclass(frozen=True, eq=False)
-class _Claims:
-    """Which live bar is pulled by what, n times."""
-
-    rows: np.ndarray  # (n,) int64 into the live bars
-    targets: np.ndarray  # (n,) int64 into the target bars, NONE for the diagonal
-    kinds: np.ndarray  # (n,) int64: MATCHED, RECRUITED, DIAGONAL
-
-
 def _plan_dimension(
-    cloud: np.ndarray, pairs: Pairs, target: np.ndarray, floor: float, dimension: int, config: LossConfig
+    cloud: np.ndarray, pairs: Pairs, claim: Claim, floor: float, dimension: int, config: LossConfig
 ) -> tuple[Pulls, list[tuple[int, ...]], dict]:
-    """Return (pulls, simplices that fail the gate, report) of one dimension with target bars (m,2)."""
+    """Return (pulls, simplices that fail the gate, report) of one dimension."""
     dropped = 0
     if config.fallback == "drop":
         keep = np.asarray(_passes(cloud, pairs).all(axis=1))
         dropped = int((~keep & significant(pairs.diagram, floor)).sum())
         pairs = _chosen(pairs, keep)
-    claims = _claims(pairs.diagram, target, floor, config.recruitment)
+    claims = claim(dimension, pairs.diagram)
     pulled = _chosen(pairs, claims.rows)
     passes = _passes(cloud, pulled)
     simplices = np.stack([padded(pulled.birth_simplices), padded(pulled.death_simplices)], axis=1)
@@ -124,21 +153,25 @@ def _plan_dimension(
     failures = int((~passes.all(axis=1)).sum()) + dropped
     if config.fallback == "subgradient" and failing:
         simplices, passes = _with_cofaces(cloud, simplices, pulled.diagram, passes)
-    aims = np.zeros((len(claims.rows), 2))
-    aims[claims.kinds != DIAGONAL] = target[claims.targets[claims.kinds != DIAGONAL]]
+    aimed = claims.kinds != DIAGONAL
+    target = np.zeros((len(claims.rows), 2))
+    target[aimed] = claims.aims[claims.targets[aimed]]
+    if claims.deaths_only:
+        simplices[aimed, 0] = NONE  # a birth without simplex keeps the refresh's value,
+        target[aimed, 0] = pulled.births[aimed]  # which is its target
     pulls = Pulls(
         dimension=np.full(len(claims.rows), dimension),
         kind=claims.kinds,
         values=pulled.diagram,
         simplices=simplices,
-        target=aims,
+        target=target,
         sound=np.asarray(passes.all(axis=1)),
         weight=np.ones(len(claims.rows)),
     )
-    return pulls, failing, _report(claims, pairs.diagram, target, floor, failures)
+    return pulls, failing, _report(claims, pairs.diagram, floor, failures)
 
 
-def _claims(bars: np.ndarray, target: np.ndarray, floor: float, recruitment: bool) -> _Claims:
+def _claims(bars: np.ndarray, target: np.ndarray, floor: float, recruitment: bool) -> Claims:
     """Return what pulls the live `bars` (k,2): matched ones, then recruited ones, then those of the
     diagonal.
     """
@@ -153,10 +186,11 @@ def _claims(bars: np.ndarray, target: np.ndarray, floor: float, recruitment: boo
         recruited = np.column_stack([pool[places[:, 0]], missing[places[:, 1]]])
         left = np.setdiff1d(left, recruited[:, 0])
     counts = (len(matching.matched), len(recruited), len(left))
-    return _Claims(
+    return Claims(
         rows=np.concatenate([live[matching.matched[:, 0]], recruited[:, 0], left]),
         targets=np.concatenate([matching.matched[:, 1], recruited[:, 1], np.full(len(left), NONE)]),
         kinds=np.repeat([MATCHED, RECRUITED, DIAGONAL], counts),
+        aims=target,
     )
 
 
@@ -192,9 +226,9 @@ def _with_cofaces(
     return simplices, passes
 
 
-def _report(claims: _Claims, bars: np.ndarray, target: np.ndarray, floor: float, failures: int) -> dict:
+def _report(claims: Claims, bars: np.ndarray, floor: float, failures: int) -> dict:
     """Return the JSON-able report of one dimension: counts, and of each target bar what claims it."""
-    owned = claims.targets != NONE
+    owned, target = claims.targets != NONE, claims.aims
     lives: list[list[float] | None] = [None] * len(target)
     kinds = ["unreached"] * len(target)
     for j, live, kind in zip(
@@ -214,4 +248,5 @@ def _report(claims: _Claims, bars: np.ndarray, target: np.ndarray, floor: float,
             {"target": bar, "live": live, "kind": kind}
             for bar, live, kind in zip(target.tolist(), lives, kinds, strict=True)
         ],
+        **claims.report,
     }

@@ -6,6 +6,10 @@ import math
 
 from paper_artifact.errors import InputError
 
+# ‖∇V L_topo‖ ÷ ‖∇V L_photo‖ at calibration below which no weight is set: a term whose gradient is rounding
+# alone would get λ = 5e14. The smallest ratio of the recorded runs is 1.3e-3 (torus, C6, seed 3).
+LEAST_RATIO = 1e-5
+
 
 def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> float:
     """Return the factor in [0, 1] of λ at `step` of `steps`.
@@ -22,11 +26,22 @@ def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> fl
 
 
 def peak_weight(rho: float, photo_norm: float, topo_norm: float) -> float | None:
-    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where a norm is zero or not finite.
+    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where `no_weight` has a reason against it.
 
     None is a stated no-op: the term stays out of this step, the log says so, and the next step tries again.
     """
-    if not (math.isfinite(photo_norm) and math.isfinite(topo_norm)) or photo_norm <= 0 or topo_norm <= 0:
-        return None
+    return None if no_weight(rho, photo_norm, topo_norm) else rho * photo_norm / topo_norm
+
+
+def no_weight(rho: float, photo_norm: float, topo_norm: float) -> str:
+    """Return why no weight can be set from these norms; an empty text when one can."""
+    for name, norm in (("topology", topo_norm), ("photometric", photo_norm)):
+        if not math.isfinite(norm) or norm <= 0:
+            return f"the {name} gradient is zero or not finite, no weight can be set"
+    if topo_norm < LEAST_RATIO * photo_norm:
+        return (
+            f"the topology gradient is {topo_norm / photo_norm:.1e} of the photometric one, below "
+            f"{LEAST_RATIO:g}: too little to set a weight by"
+        )
     weight = rho * photo_norm / topo_norm
-    return weight if math.isfinite(weight) and weight > 0 else None
+    return "" if math.isfinite(weight) and weight > 0 else "the weight is zero or not finite"

@@ -20,12 +20,14 @@ from torch import Tensor
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
+from paper_artifact.topology.betti import build_betti_plan
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.cloud import check_cloud, noisy
 from paper_artifact.topology.controls import neighbour_pairs, repulsion
 from paper_artifact.topology.plan import Plan, build_plan
 from paper_artifact.topology.samples import FrozenSamples, draw_samples, samples_stream
-from paper_artifact.topology.schedule import peak_weight, ramp_factor
+from paper_artifact.topology.schedule import no_weight, peak_weight, ramp_factor
+from paper_artifact.topology.statement import Statement, contradictions
 
 DENSER_ROUNDS, DENSER_PER_TRIANGLE = (
     3,
@@ -47,16 +49,31 @@ class TopologyTerm:
 
     lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
     "refresh"), one for λ ("event": "lambda"), one per step on which the calibration was a no-op ("event":
-    "no-op", "reason"). Raises InputError when the bundle's density is not the loss's.
+    "no-op", "reason"), and for a statement in words its audit at the first refresh, before any gradient
+    ("event": "audit", "warnings"). target: a Statement for the kind "betti", else a bundle. tell: is called
+    with each warning; strict: a warning is an InputError. Raises InputError when the target's density is not
+    the loss's.
     """
 
-    def __init__(self, config: LossConfig, bundle: Bundle, steps: int, seed: int) -> None:
+    def __init__(
+        self,
+        config: LossConfig,
+        target: Bundle | Statement,
+        steps: int,
+        seed: int,
+        *,
+        strict: bool = False,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        if (config.kind == "betti") != isinstance(target, Statement):
+            raise InputError(f"the loss kind {config.kind!r} does not act towards a {type(target).__name__}")
         if steps < 1 or config.refresh_every < 1:
             raise InputError(
                 f"steps and refresh_every must be at least 1, got {steps} and {config.refresh_every}"
             )
-        bundle.require_density(config.samples)
-        self.config, self.bundle, self.steps, self.seed = config, bundle, steps, seed
+        target.require_density(config.samples)
+        self.config, self.target, self.steps, self.seed = config, target, steps, seed
+        self.strict, self.tell = strict, tell
         self.lambda_peak: float | None = None
         self.log: list[dict] = []
         self._objective: Objective | None = None
@@ -85,10 +102,12 @@ class TopologyTerm:
         if not due:
             return False
         samples = draw_samples(vertices, opacity, self.config.samples, samples_stream(self.seed, step - 1))
-        kind = Persistence if self.config.kind == "topology" else Repulsion
+        kind = Repulsion if self.config.kind == "repulsion" else Persistence
         self._objective = kind(self, step, samples, vertices.detach())
         self._refreshed, self._resampled = step, False
         self.log.append({"event": "refresh", "step": step, **self._objective.report})
+        if isinstance(self.target, Statement) and not any(each["event"] == "audit" for each in self.log):
+            self._audit(step, contradictions(self.target, self._objective.report, self.config))
         return True
 
     def value(
@@ -124,6 +143,15 @@ class TopologyTerm:
         self.lambda_peak, self.log = state["lambda_peak"], list(state["log"])
         self._objective = None
 
+    def _audit(self, step: int, warnings: list[str]) -> None:
+        """Log and tell what contradicts the statement; raise InputError when strict."""
+        self.log.append({"event": "audit", "step": step, "warnings": warnings})
+        if warnings and self.strict:
+            raise InputError(f"strict, and at step {step} the images contradict the words: {warnings[0]}")
+        if self.tell is not None:
+            for each in warnings:
+                self.tell(f"step {step}: {each}")
+
     def _calibrated(
         self,
         step: int,
@@ -140,8 +168,7 @@ class TopologyTerm:
         photo_norm = float(photo_gradient_norm)
         peak = peak_weight(self.config.rho, photo_norm, topo_norm)
         if peak is None:
-            which = "topology" if not topo_norm > 0 or not np.isfinite(topo_norm) else "photometric"
-            reason = f"the {which} gradient is zero or not finite, no weight can be set"
+            reason = no_weight(self.config.rho, photo_norm, topo_norm)
             self.log.append({"event": "no-op", "step": step, "reason": reason})
         else:
             norms = {"rho": self.config.rho, "photo_norm": photo_norm, "topo_norm": topo_norm}
@@ -153,17 +180,22 @@ class Persistence:
     """One refresh of the persistence loss: samples and plan."""
 
     def __init__(self, term: TopologyTerm, step: int, samples: FrozenSamples, vertices: Tensor) -> None:
-        config, bundle, done = term.config, term.bundle, step - 1
-        cloud = check_cloud(samples.positions(vertices).numpy(), bundle)
-        plan = build_plan(noisy(cloud, config.noise, term.seed, done), bundle, config)
+        config, target, done = term.config, term.target, step - 1
+
+        def make(cloud: np.ndarray) -> Plan:
+            seen = noisy(cloud, config.noise, term.seed, done)
+            if isinstance(target, Statement):
+                return build_betti_plan(seen, target, config)
+            return build_plan(seen, target, config)
+
+        plan = make(check_cloud(samples.positions(vertices).numpy(), target))
         rounds = 0
         while plan.failing and config.fallback == "denser" and rounds < DENSER_ROUNDS:
             rounds += 1
             generator = stream(term.seed, f"topology-denser-{rounds}", done)
             samples = samples.joined(_denser(plan, samples, vertices, generator))
-            cloud = samples.positions(vertices).numpy() / bundle.diagonal
-            plan = build_plan(noisy(cloud, config.noise, term.seed, done), bundle, config)
-        self.samples, self.plan, self.diagonal = samples, plan, bundle.diagonal
+            plan = make(samples.positions(vertices).numpy() / target.diagonal)
+        self.samples, self.plan, self.diagonal = samples, plan, target.diagonal
         self.report = {**plan.report, "denser_rounds": rounds}
 
     def value(self, vertices: Tensor) -> Tensor:
@@ -186,9 +218,11 @@ class Repulsion:
     """One refresh of the control C2: samples and neighbour pairs."""
 
     def __init__(self, term: TopologyTerm, step: int, samples: FrozenSamples, vertices: Tensor) -> None:
-        self.samples, self.diagonal = samples, term.bundle.diagonal
-        self.radius = term.config.repulsion_radius * term.bundle.spacing
-        cloud = check_cloud(samples.positions(vertices).numpy(), term.bundle)
+        bundle = term.target
+        assert isinstance(bundle, Bundle)
+        self.samples, self.diagonal = samples, bundle.diagonal
+        self.radius = term.config.repulsion_radius * bundle.spacing
+        cloud = check_cloud(samples.positions(vertices).numpy(), bundle)
         self.pairs = neighbour_pairs(cloud, self.radius)
         self.report = {"samples": len(cloud), "radius": self.radius, "pairs": len(self.pairs)}
 

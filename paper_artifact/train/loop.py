@@ -127,10 +127,11 @@ def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], flo
     def photo_norm(batches: int = 1) -> float:
         """Mean norm of the vertices' gradient over this step's batch and those of the next steps."""
         own = [tensor.grad for tensor in soup.tensors()]
-        norms = [0.0 if soup.vertices.grad is None else float(soup.vertices.grad.norm())]
-        for later in range(1, batches):
-            photometric(state.step + later)
-            norms.append(float(soup.vertices.grad.norm()))
+        norms = []
+        for later in range(batches):
+            if later > 0:
+                photometric(state.step + later)
+            norms.append(0.0 if soup.vertices.grad is None else float(soup.vertices.grad.norm()))
         for tensor, gradient in zip(soup.tensors(), own, strict=True):
             tensor.grad = gradient
         return sum(norms) / len(norms)

@@ -1,0 +1,289 @@
+"""Betti numbers in words: the loss, its plan, its audit, and the density that is chosen for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.catalogue import get_condition, study_config
+from paper_artifact.config import LossConfig, with_changes
+from paper_artifact.errors import InputError
+from paper_artifact.randomness import stream
+from paper_artifact.report.plans import refresh_table
+from paper_artifact.sampling import sample_surface
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.topology import BettiLoss
+from paper_artifact.topology.bundle import build_bundle
+from paper_artifact.topology.density import choose_density
+from paper_artifact.topology.floor import measurement_floor
+from paper_artifact.topology.pulls import DIAGONAL, NONE
+from paper_artifact.topology.schedule import LEAST_RATIO, peak_weight
+from paper_artifact.topology.statement import Statement, contradictions, frame_diagonal
+from paper_artifact.topology.term import TopologyTerm
+
+T2 = {"guard": 0.0, "suppress": "all"}
+
+
+def cloud_of(shape: str, count: int, seed: int = 0) -> np.ndarray:
+    mesh = make_shape(shape)
+    return sample_surface(mesh.vertices, mesh.faces, count, stream(seed, "test"))[0]
+
+
+def soup_of(shape: str) -> torch.Tensor:
+    mesh = make_shape(shape)
+    return torch.tensor(mesh.vertices[mesh.faces], dtype=torch.float32, requires_grad=True)
+
+
+def lifetimes(cloud: np.ndarray) -> list[np.ndarray]:
+    return [np.sort(pairs.deaths - pairs.births)[::-1] for pairs in alpha_persistence(cloud)]
+
+
+def test_the_conditions_differ_in_guard_and_in_what_they_suppress():
+    first, second = (get_condition(name).loss for name in ("T1", "T2"))
+    assert (first.kind, first.guard, first.suppress, first.rho, first.ramp) == (
+        "betti",
+        0.5,
+        "floor",
+        0.1,
+        (0.2, 0.5),
+    )
+    assert with_changes(first, T2) == second
+    # What is said of a shape of the study is what its row says dense samples show; M is the study's.
+    assert study_config("two_spheres", "T1").loss.betti == (2, 0, 2)
+    assert (study_config("eight", "T2").loss.betti, study_config("eight", "T2").loss.samples) == (
+        (1, 4, 1),
+        8192,
+    )
+    assert study_config("torus", "T1").loss.dimensions is None
+
+
+@pytest.mark.parametrize("settings", [{}, T2, {"guard": 3.0}, {"dimensions": (1,)}, {"pull": 0.5}])
+def test_the_value_at_a_refresh_is_the_notes_formula(settings):
+    points = cloud_of("torus", 600)
+    diagonal = np.linalg.norm(np.ptp(points, axis=0))
+    cloud, loss = points / diagonal, BettiLoss((2, 2, 0), **settings)
+    floor, config = measurement_floor(cloud, 1.0), loss.config
+    expected, wanted_bars, other_bars = 0.0, 0, 0
+    for dimension, (bars, wanted) in enumerate(zip(lifetimes(cloud), (1, 2, 0), strict=True)):
+        if config.dimensions is not None and dimension not in config.dimensions:
+            continue
+        first, others = bars[:wanted], bars[wanted:]
+        if dimension == 0 or config.suppress == "floor":
+            others = others[others > floor]
+        first = first[first > config.guard * floor]
+        expected += len(first) * (config.pull * floor / 6) ** 2 + ((others / 2) ** 2).sum()
+        wanted_bars, other_bars = wanted_bars + len(first), other_bars + len(others)
+    value = loss(torch.tensor(points)).item()
+    assert value == pytest.approx(expected, rel=1e-9) and len(loss.plan) == wanted_bars + other_bars
+    report = loss.plan.report["dimensions"].values()
+    assert wanted_bars == sum(each["matched"] for each in report)
+    assert other_bars == sum(each["diagonal"] for each in report)
+    assert (other_bars > 500) == (settings == T2)
+
+
+@pytest.mark.parametrize("count, betti, settings", [(600, (1, 0, 1), {}), (80, (1, 1, 0), T2)])
+def test_the_gradient_is_that_of_finite_differences(count, betti, settings):
+    """Words that leave a bar out, so that bars are pushed down beside those that are pulled up."""
+    points = torch.tensor(cloud_of("torus", count), requires_grad=True)
+    loss = BettiLoss(betti, refresh_every=0, **(settings | {"guard": 0.1}))
+    plan = loss.refresh(points)
+    assert {*plan.pulls.kind.tolist()} == {0, DIAGONAL} and plan.pulls.sound.all()
+    assert torch.autograd.gradcheck(loss, (points,), eps=1e-6, atol=1e-7, rtol=1e-5)
+
+
+def test_wanted_bars_are_pulled_by_their_deaths_alone():
+    points = torch.tensor(cloud_of("torus", 500), requires_grad=True)
+    loss = BettiLoss((1, 1, 0), guard=0.0, dimensions=(1,))
+    loss.refresh(points)
+    pulls = loss.plan.pulls
+    wanted = pulls.kind != DIAGONAL
+    assert wanted.sum() == 1 and (pulls.simplices[wanted, 0] == NONE).all()
+    assert (pulls.simplices[~wanted, 0, :2] != NONE).all()
+    before = pulls.values[wanted][0]
+    assert pulls.target[wanted][0].tolist() == [before[0], before[1] + 2 * loss.plan.report["floor"] / 6]
+    loss(points).backward()
+    with torch.no_grad():
+        longer = BettiLoss((1, 1, 0), diagonal=1.0, guard=0.0, dimensions=(1,), refresh_every=0)
+        one = longer.refresh(points - 0.01 * points.grad / points.grad.norm())
+    assert one.pulls.values[0, 1] > longer.refresh(points).pulls.values[0, 1]
+
+
+def test_a_hole_grows():
+    """A slab of points that is said to have one loop gets a hole."""
+    slab = torch.tensor(stream(0, "slab").random((200, 3)) * [1, 1, 0.1], requires_grad=True)
+    loss, optimiser = BettiLoss((1, 1, 0), guard=0.0, refresh_every=1), torch.optim.Adam([slab], lr=0.005)
+    margins = []
+    for _ in range(40):
+        optimiser.zero_grad()
+        loss(slab).backward()
+        margins.append(loss.plan.report["dimensions"]["1"]["margins"])
+        optimiser.step()
+    assert margins[0][0] < 0.3 and margins[-1][0] > 2 * margins[0][0] and margins[-1][1] < 0.3
+
+
+@pytest.mark.parametrize(
+    "betti, words",
+    [
+        ((1, -2, 1), "none of them negative, got (1, -2, 1)"),
+        ((1, 2), "three whole numbers b0,b1,b2 (components, loops, voids), got (1, 2)"),
+        ((1, 2.0, 1), "three whole numbers"),
+        ((1, True, 1), "three whole numbers"),
+        ("two loops", "three whole numbers b0,b1,b2 (components, loops, voids), got ('two loops',)"),
+        ((0, 2, 1), "b0 counts the components and is at least 1, got (0, 2, 1)"),
+    ],
+)
+def test_other_words_are_refused(betti, words):
+    with pytest.raises(InputError) as error:
+        BettiLoss(betti)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_points_that_no_loss_can_be_had_of_are_refused():
+    flat = np.random.default_rng(0).random((50, 3)) * [1, 1, 0]
+    for points, words in (
+        (flat, "all live points lie in one plane"),
+        (flat[:1].repeat(9, axis=0), "all live points lie in one plane"),
+        (flat[:3], "at least 4 points of shape (M, 3), got (3, 3)"),
+        (np.full((9, 3), np.nan), "not finite"),
+    ):
+        with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
+            BettiLoss((1, 1, 0))(torch.tensor(points))
+    with pytest.raises(InputError, match=r"9999 finite bars of dimension 1 \(loops\).*have \d+ in all"):
+        BettiLoss((1, 9999, 0))(torch.tensor(cloud_of("sphere", 60)))
+    with pytest.raises(InputError, match="samples a surface again"):
+        BettiLoss((1, 1, 0), fallback="denser")
+    with pytest.raises(InputError, match="positive length"):
+        BettiLoss((1, 1, 0), diagonal=-1.0)
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        ({"guard": -0.1}, "guard must not be negative"),
+        ({"pull": -1.0}, "pull must not be negative"),
+        ({"suppress": "most"}, "unknown suppress rule 'most'; choose one of floor, all"),
+        ({"kind": "topology", "betti": (1, 2, 1)}, "belongs to the loss kind 'betti'"),
+        ({"kind": "topology", "samples": "auto"}, "samples=auto belongs to the loss kind 'betti'"),
+        ({"samples": 3}, "samples must be at least 4, got 3"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        with_changes(LossConfig("betti"), settings)
+
+
+# --- the statement against what the images show
+
+
+def said(shape: str, betti: tuple[int, ...], samples: int = 2048, **settings) -> list[str]:
+    points = cloud_of(shape, samples)
+    loss = BettiLoss(betti, **settings)
+    report = loss.refresh(points).report
+    return contradictions(Statement(betti, 1.0), report, loss.config)
+
+
+@pytest.mark.parametrize("settings", [{}, T2])
+def test_the_audit_says_what_contradicts_the_words(settings):
+    assert said("sphere", (1, 0, 1), **settings) == []
+    assert said("torus", (1, 2, 1), **settings) == []
+    (void,) = said("sphere", (1, 0, 0), **settings)
+    assert void.startswith("you said no void; the images show 1 void (the longest has ")
+    (loops,) = said("sphere", (1, 2, 1), **settings)
+    assert loops.startswith("you said 2 loops; none so far: the next candidate has 0.")
+    (loop,) = said("torus", (1, 3, 1), **settings)
+    assert loop.startswith("you said 3 loops; 2 so far: the next candidate has 0.") and "below 0.5" in loop
+    (surplus,) = said("torus", (1, 0, 1), **settings)
+    assert surplus.startswith("you said no loop; the images show ")
+    (second,) = said("sphere", (2, 0, 1), **settings)
+    assert second.startswith("you said 2 components; 1 so far: the next candidate has 0.")
+    (component,) = said("two_spheres", (1, 0, 2), **settings)
+    assert component.startswith("you said 1 component; the images show 1 component more")
+
+
+def words_of(betti: tuple[int, ...], steps: int = 100, **options) -> TopologyTerm:
+    loss = LossConfig("betti", betti=betti, samples=2048)
+    return TopologyTerm(loss, Statement(betti, 3.0, 2048), steps, 0, **options)
+
+
+def test_a_term_audits_its_words_once_before_any_gradient():
+    told: list[str] = []
+    soup, term = soup_of("sphere"), words_of((1, 0, 0), tell=told.append)
+    for step in (20, 22, 32):
+        term.refresh_if_due(step, soup, None)
+    assert [event["event"] for event in term.log] == ["refresh", "audit", "refresh"]
+    (warning,) = term.log[1]["warnings"]
+    assert told == [f"step 22: {warning}"] and "no void" in warning and term.lambda_peak is None
+    assert len(refresh_table({"topology": term.log})) == 2
+    resumed = words_of((1, 0, 0), tell=told.append)
+    resumed.load_state(term.state())
+    resumed.refresh_if_due(42, soup, None)
+    assert len(told) == 1 and resumed.log[-1]["event"] == "refresh"
+    with pytest.raises(InputError, match="at step 22 the images contradict the words: you said no"):
+        words_of((1, 0, 0), strict=True).refresh_if_due(22, soup, None)
+    words_of((1, 0, 1), strict=True).refresh_if_due(22, soup, None)
+
+
+def test_a_target_of_another_kind_is_refused():
+    bundle = build_bundle(cloud_of("sphere", 512), 3.4)
+    with pytest.raises(InputError, match="'betti' does not act towards a Bundle"):
+        TopologyTerm(LossConfig("betti", betti=(1, 0, 1), samples=512), bundle, 10, 0)
+    with pytest.raises(InputError, match="'topology' does not act towards a Statement"):
+        TopologyTerm(LossConfig(samples=512), Statement((1, 0, 1), 1.0, 512), 10, 0)
+    with pytest.raises(InputError, match="made for M = 512, but the loss samples 100"):
+        Statement((1, 0, 1), 1.0, 512).require_density(100)
+
+
+@pytest.mark.parametrize("kind", ["betti", "topology"])
+def test_a_gradient_of_rounding_alone_sets_no_weight(kind):
+    assert peak_weight(0.1, 1.0, 2 * LEAST_RATIO) == pytest.approx(0.1 / (2 * LEAST_RATIO))
+    assert peak_weight(0.1, 1.0, LEAST_RATIO / 2) is None
+    soup = soup_of("sphere")
+    if kind == "betti":
+        term = words_of((1, 0, 1))
+    else:
+        term = TopologyTerm(LossConfig(samples=512), build_bundle(cloud_of("sphere", 512), 3.4), 100, 0)
+    term.refresh_if_due(30, soup, None)
+    assert term.value(30, soup, 1e9) is None and term.lambda_peak is None
+    assert term.log[-1]["event"] == "no-op"
+    assert "of the photometric one, below 1e-05" in term.log[-1]["reason"]
+    assert term.value(31, soup, 1.0).item() > 0 and term.log[-1]["event"] == "lambda"
+
+
+# --- the density
+
+
+def chosen(shape: str, betti: tuple[int, ...], count: int = 9000, **settings):
+    cloud = cloud_of(shape, count)
+    return choose_density(cloud, Statement(betti, frame_diagonal(cloud)), LossConfig("betti", **settings))
+
+
+def test_the_density_is_the_smallest_that_shows_the_classes():
+    found = chosen("sphere", (1, 0, 1))
+    assert (found.samples, found.complete) == (2048, True) and "1 of 1 wanted classes" in found.reasons[0]
+    torus = chosen("torus", (1, 2, 1), guard=1.0)
+    assert torus.complete and torus.samples == 2048 * 2 ** (len(torus.reasons) - 1) > 2048
+    assert chosen("torus", (1, 2, 1), guard=0.0) == chosen("torus", (1, 2, 1), guard=0.5)
+    assert chosen("sphere", (1, 0, 0)).reasons == ("The statement names no class to be seen: M = 2048.",)
+
+
+def test_where_no_density_shows_the_classes_it_says_so():
+    found = chosen("sphere", (1, 3, 1))
+    assert (found.samples, found.complete) == (2048, False) and len(found.reasons) == 4
+    assert found.reasons[-1] == (
+        "No density shows all of them; M = 2048 shows most (M = 16384 not asked: the cloud has 9000 points)."
+    )
+    with pytest.raises(InputError, match="needs an SfM cloud of at least 1843 points, got 1000"):
+        chosen("sphere", (1, 0, 1), count=1000)
+
+
+def test_the_frame_is_the_clouds_and_ignores_outliers():
+    cloud = cloud_of("sphere", 4000)
+    box = np.linalg.norm(np.ptp(cloud, axis=0))
+    assert 0.95 * box < frame_diagonal(cloud) < box
+    far = np.concatenate([cloud, 100.0 + np.random.default_rng(0).random((20, 3))])
+    assert frame_diagonal(far) == pytest.approx(frame_diagonal(cloud), rel=0.05)
+    for points, words in ((cloud[:1].repeat(9, axis=0), "one place"), (cloud[:2], "at least 4")):
+        with pytest.raises(InputError, match=words):
+            frame_diagonal(points)

@@ -1,0 +1,109 @@
+"""Training towards Betti numbers: without a mesh in its path, from the command line, and what is recorded."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+
+from paper_artifact import cli
+from paper_artifact.catalogue import study_config
+from paper_artifact.cli.train import audited
+from paper_artifact.errors import InputError
+from paper_artifact.pipeline import make_run_term
+from paper_artifact.record.store import find_records
+from paper_artifact.scene.load import load_ground_truth, load_scene
+from paper_artifact.train.loop import train
+from tests.tiny_run import tiny_arguments, tiny_config
+
+WORDS = ["--condition=T1", "--loss=samples=2048", "--betti=1,0,1"]
+
+
+@pytest.fixture
+def results(tiny_results, tmp_path):
+    shutil.copytree(tiny_results, tmp_path / "results")
+    return tmp_path / "results"
+
+
+@pytest.mark.parametrize("samples", [512, "auto"])
+def test_a_scene_without_its_mesh_is_trained(samples, results, monkeypatch):
+    """No ground truth: its file is gone, and so is everything that could make a mesh or a bundle."""
+    (folder,) = (results / "scenes").iterdir()
+    (folder / "ground_truth.npz").unlink()
+    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)
+    monkeypatch.setattr("paper_artifact.scene.find.find_mesh", None)
+    monkeypatch.setattr("paper_artifact.topology.bundle.build_from_mesh", None)
+    scene = load_scene(folder)
+    config = tiny_config(condition="T1", loss={"betti": (1, 0, 1), "samples": samples})
+    with pytest.raises(InputError, match=r"has no ground_truth\.npz"):
+        load_ground_truth(folder)
+    term, bundle = make_run_term(config, None, scene.points)
+    state = train(scene, config, term=term, device="cpu")
+    events = [event["event"] for event in term.log]
+    assert bundle is None and len(state.losses) == config.steps and np.isfinite(state.losses).all()
+    assert events.count("lambda") == 1 and events.count("audit") == 1 and events.count("refresh") >= 5
+    assert (events[0] == "density") == (samples == "auto")
+    assert {event["samples"] for event in term.log if event["event"] == "refresh"} == {
+        2048 if samples == "auto" else 512
+    }
+
+
+def test_the_command_line_trains_in_words_and_records_them(results, capsys):
+    arguments = [*tiny_arguments(), *WORDS, f"--results={results}"]
+    assert cli.main([*arguments[:-2], "--betti=1,0,0", arguments[-1]]) == 0
+    printed = capsys.readouterr()
+    for stream in printed:
+        assert "you said no void; the images show 1 void" in stream
+    assert "warning: you said" in printed.out and "step 14: you said" in printed.err
+    (record,) = find_records(results / "runs")
+    assert record["config"]["loss"]["betti"] == [1, 0, 0] and "bundle" not in record
+    assert record["statement"]["betti"] == [1, 0, 0] and record["statement"]["samples"] == 2048
+    # What is recorded is not run again; strict, it is an error all the same.
+    assert cli.main([*arguments[:-2], "--betti=1,0,0", "--strict", arguments[-1]]) == 1
+    assert "strict, and the record holds a warning: you said " in capsys.readouterr().err
+    assert cli.main([*arguments[:-2], "--betti=1,0,0", "--strict", "--again", arguments[-1]]) == 1
+    error = capsys.readouterr().err
+    assert "strict, and at step 14 the images contradict the words" in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["sphere", "--condition=T1", "--betti=1,-2,1"], "none of them negative, got (1, -2, 1)"),
+        (["sphere", "--condition=T1", "--betti=1,2"], "three whole numbers b0,b1,b2"),
+        (["sphere", "--condition=T2", "--betti=1,2.5,1"], "got (1, 2.5, 1)"),
+        (["sphere", "--condition=T2", "--betti=one"], "got ('one',)"),
+        (["sphere", "--condition=T1", "--betti=0,0,1"], "b0 counts the components"),
+        (["sphere", "--condition=T1", "--betti=1,0,1", "--loss=betti=1,0,1"], "are one setting"),
+        (["sphere", "--condition=C1", "--betti=1,0,1"], "belongs to the loss kind 'betti'"),
+        (["sphere", "--condition=C1", "--loss=samples=auto"], "samples=auto belongs to"),
+        (["sphere", "--betti=1,0,1"], "condition C0 adds no loss, so it takes no loss settings (betti)"),
+        (["my.obj", "--condition=T1"], "needs the Betti numbers of 'my.obj' in words: give --betti"),
+    ],
+)
+def test_other_words_are_refused_before_anything_is_made(arguments, words, monkeypatch, capsys):
+    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)  # calling it would fail
+    assert cli.main(["train", "--quiet", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1
+
+
+def test_a_mesh_outside_the_study_gets_the_density_of_the_audits_rule(tmp_path, capsys):
+    """A flat pebble's void is below the floor at M = 2048 and above it at 8192; a disc's is below at both."""
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    paths = []
+    for name, height in (("pebble", 0.16), ("disc", 0.02)):
+        paths.append(str(tmp_path / f"{name}.ply"))
+        trimesh.Trimesh(sphere.vertices * [1, 1, height], sphere.faces).export(paths[-1])
+    config = audited(study_config(paths[0], "C1"), ())
+    assert (config.loss.samples, config.loss.dimensions) == (8192, (2,))
+    assert "M = 8192 is the first working density" in capsys.readouterr().err
+    for given in ({"samples": 4096}, {"dimensions": (1,)}):
+        own = study_config(paths[0], "C1", loss=given)
+        assert audited(own, given) is own
+    for untouched in (study_config("sphere", "C1"), study_config(paths[0])):
+        assert audited(untouched, ()) is untouched
+    with pytest.raises(InputError, match="is measurable at M = 2048 or 8192: .* Train it with condition C0"):
+        audited(study_config(paths[1], "C2"), ())
