@@ -64,7 +64,7 @@ STUDIES: dict[str, tuple[Block, ...]] = {
     "allocation_search": tuple(
         Block(("sphere",), ("B4",), range(2), allocation={"protection": protection, "subdivided": subdivided})
         for protection in (0.5, 1.0, 2.0)
-        for subdivided in (0.05, 0.1, 0.2)
+        for subdivided in (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
     ),
     # App. A; the baseline B0 is C0.
     "allocation": (
