@@ -71,6 +71,10 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(("sphere", "torus", "cube", "cylinder"), ("C0", *PRIORS), range(5)),
         Block(("sphere",), ("B1",), range(5)),
     ),
+    # Ours: does what is said of the priors hang on the levers' strength? The strongest of the search.
+    "allocation_strong": (
+        Block(("sphere", "torus"), ("B4", "B5"), range(3), allocation={"protection": 2.0, "subdivided": 0.2}),
+    ),
     "composition": (  # RH3: Table 1's C5; cube and spot are a check of ours
         Block(("sphere", "torus"), ("C5",), range(5)),
         Block(("cube", "spot"), ("C5",), range(3)),
