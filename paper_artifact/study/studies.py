@@ -126,7 +126,7 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(PAIR, ("T1",), range(2), loss={"aim": "births", "suppress": "none"}),  # births only
         Block(PAIR, WORDS, range(2), loss={"aim": "none"}),  # suppression only
         *(
-            Block(PAIR, ("T1",), range(2), loss={"pull": pull}) for pull in (0.5, 4.0, 8.0)
+            Block(PAIR, ("T1",), range(2), loss={"pull": pull}) for pull in (0.1, 0.5, 8.0)
         ),  # the default is 2
         *(Block(PAIR, WORDS, range(2), loss={"rho": rho}) for rho in (0.03, 0.3, 1.0)),  # the default is .1
     ),
