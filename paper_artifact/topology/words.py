@@ -25,8 +25,9 @@ def words_term(
 ) -> TopologyTerm:
     """Return the term of a loss of the kind "betti" in a run of `steps` steps.
 
-    points (P,3): the SfM cloud, world units. A density that was chosen here, of the cleaned cloud, is logged ("event": "density").
-    strict, tell: see `TopologyTerm`. Raises InputError as `frame_diagonal` and `choose_density` do.
+    points (P,3): the SfM cloud, world units. A density that was asked of it, cleaned, is logged ("event":
+    "density"). strict, tell: see `TopologyTerm`. Raises InputError as `frame_diagonal`, `cleaned` and
+    `choose_density` do.
     """
     statement = Statement(loss.betti or (), frame_diagonal(points))
     log: list[dict] = []
