@@ -12,11 +12,9 @@ from PIL import Image, UnidentifiedImageError
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
+from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH, HOLDOUT_EVERY
 from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
 from paper_artifact.scene.colmap import read_model
-
-HOLDOUT_EVERY = 8
 
 
 @dataclass(frozen=True, eq=False)
