@@ -317,12 +317,7 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
 
     monkeypatch.setattr(sweep_module, "missing", lambda configs, results: configs)
     with pytest.raises(KeyboardInterrupt):
-        sweep(
-            [replace(CONFIGS[0], seed=seed) for seed in range(5)],
-            REPOSITORY,
-            workers=2,
-            report=interrupt,
-        )
+        sweep([replace(CONFIGS[0], seed=seed) for seed in range(5)], REPOSITORY, workers=2, report=interrupt)
     assert (
         children and all(child.returncode in (0, -signal.SIGTERM) for child in children) and len(children) < 5
     )
