@@ -68,7 +68,7 @@ def peak_during(work: Callable[[], dict], read: Callable[[], int] = used_mib) ->
 
 
 def memory_row(condition: str, folder: Path, steps: int, shape: str = "torus") -> dict:
-    """Return {before_mib, peak_mib: on the whole GPU; allocated_mib: by torch, at most} of one run with seed 0.
+    """Return {before_mib, peak_mib: on the whole GPU; allocated_mib: by torch, at most} of a run, seed 0.
 
     folder: for the scene. Raises RuntimeError with the child's last line when it fails.
     """
