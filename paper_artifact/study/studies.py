@@ -147,10 +147,8 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(PAIR, ("C0", "C1", *WORDS), range(1), changes=change)
         for change in (
             {"views": 10},
-            {"views": 24},
             {"image_noise": 0.05},
             {"background": "texture"},
-            {"camera_noise": 0.0025},
             {"camera_noise": 0.005},
             {"cloud_noise": 0.0075, "cloud_outliers": 0.05, "cloud_missing": 0.2},
         )
