@@ -50,6 +50,7 @@ VERBS: dict[str, Verb] = {
     "run-all": Verb(
         "run_all", "execute every notebook in order and print a table of notebook, time and status"
     ),
+    "book": Verb("book", "make the book: results, items, figures, tables, 3-D views and notebooks as pages"),
     "bench": Verb("bench", "measure speed and memory; every ratio is taken in one process"),
     "certify": Verb("certify", "certify a mesh's topology by exact simplicial homology"),
     "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),

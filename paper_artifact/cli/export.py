@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
+
+if TYPE_CHECKING:
+    from paper_artifact.export.triangles import Triangles
+    from paper_artifact.export.viewpoint import Viewpoint
 
 FORMATS = ("ply", "glb", "png", "html")
 
@@ -38,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scene",
         type=Path,
         metavar="DIR",
-        help="render the held-out views of this COLMAP scene, photographs above "
-        "(default: views around the soup)",
+        help="render the held-out views of this COLMAP scene, photographs above, and open the HTML view at "
+        "its first camera (default: views around the soup)",
     )
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
     parser.add_argument("--size", type=int, default=400, help="their side in pixels (default: %(default)s)")
@@ -75,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
             from paper_artifact.scene.find import find_mesh
 
             parts["ground truth"] = mesh_triangles(find_mesh(arguments.target))
-        write_html(path_of("html"), parts, arguments.soup.stem)
+        write_html(path_of("html"), parts, arguments.soup.stem, _viewpoint(arguments, triangles))
     if "png" in arguments.formats:
         from paper_artifact.export.images import sheet, write_png
         from paper_artifact.export.renders import orbit_renders, scene_renders
@@ -90,3 +95,15 @@ def run(arguments: argparse.Namespace) -> int:
     for path in written:
         print(path)
     return 0
+
+
+def _viewpoint(arguments: argparse.Namespace, triangles: Triangles) -> Viewpoint | None:
+    """Where the HTML view opens: at the scene's first camera, as the study shows that shape, or anywhere."""
+    from paper_artifact.catalogue import SHAPES
+    from paper_artifact.export.viewpoint import scene_viewpoint, shape_viewpoint
+    from paper_artifact.scene.load import load_scene
+
+    if arguments.scene is not None:
+        return scene_viewpoint(load_scene(arguments.scene))
+    row = next((each for each in SHAPES if each.name == arguments.target), None)
+    return row and shape_viewpoint(row, triangles.visible().vertices.reshape(-1, 3))
