@@ -22,7 +22,9 @@ DEFAULTS_VERSION = 1
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
 KINDS = ("topology", "repulsion", "betti")
-SUPPRESS = ("floor", "all")
+SUPPRESS = ("floor", "all", "none")
+AIMS = ("deaths", "smoothed", "births", "none")
+BACKGROUNDS = ("white", "black", "texture")
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 CENTRES = ("topological", "random")
 LEVERS = ("resampling", "start")
@@ -63,12 +65,18 @@ class LossConfig:
     # Of the kind "betti" alone.
     betti: tuple[int, ...] | None = None  # b0, b1, b2 as the samples show them: components, loops, voids
     guard: float = 0.5  # a bar shorter than this fraction of the live floor is not taken for a wanted one
-    suppress: str = "floor"  # pushed to the diagonal: "floor" what exceeds the live floor; "all" in H1 and H2
+    # pushed to the diagonal beyond the wanted bars: "floor" what exceeds the live floor; "all" in H1 and H2;
+    # "none" nothing
+    suppress: str = "floor"
+    # what wanted bars are pulled to: "deaths" beyond their own by `pull`; "smoothed" to no less than those of
+    # the smoothed cloud; "births" to what a clean sample has; "none" not at all
+    aim: str = "deaths"
     pull: float = 2.0  # how far beyond a wanted bar's death its target lies, in live median spacings
 
     def __post_init__(self) -> None:
         _one_of("loss kind", self.kind, KINDS)
         _one_of("suppress rule", self.suppress, SUPPRESS)
+        _one_of("aim", self.aim, AIMS)
         _one_of("floor_source", self.floor_source, FLOOR_SOURCES)
         _one_of("Gabriel fallback", self.fallback, FALLBACKS)
         _one_of("persistence method", self.method, METHODS)
@@ -123,6 +131,16 @@ class AllocationConfig:
             _at_least(self, name, least)
 
 
+# What a run's scene may suffer, and the value that each must stay below.
+NOISES = {
+    "image_noise": 1.0,
+    "camera_noise": 0.5,
+    "cloud_noise": 0.5,
+    "cloud_outliers": 1.0,
+    "cloud_missing": 0.9,
+}
+
+
 @dataclass(frozen=True)
 class GivenConfig:
     """One's own data in a run: a mesh file or a scene folder, by content. Raises InputError out of range.
@@ -155,7 +173,7 @@ class RunConfig:
     budget: int = 1200  # N: triangles kept by pruning
     views: int = 48  # rendered around the mesh, every 8th held out
     size: int = 200  # of a view, pixels
-    background: str = "white"  # or "black"
+    background: str = "white"  # "black", or "texture": a patterned surrounding, infinitely far away
     batch: int = 4  # views per step
     vertex_lr: float = 1e-2  # learning rate of the vertices, per unit of scene radius (world units)
     feature_lr: float = 5e-2  # of the feature logits
@@ -168,6 +186,13 @@ class RunConfig:
     split_height: float = 0.2  # an edge longer than this fraction of the image height is split
     dump_steps: tuple[int, ...] = DUMP_STEPS  # that are evaluated, after their resampling
     samples: int = 20_000  # surface samples of an evaluation
+    # What a scene of photographs does to training views and start (`paper_artifact.scene.perturb`); held-out
+    # views and the truth of the evaluation stay clean. D is the mesh's diagonal.
+    image_noise: float = 0.0  # standard deviation per pixel and channel, colours in [0,1]
+    camera_noise: float = 0.0  # standard deviation per axis of a camera's centre, / D
+    cloud_noise: float = 0.0  # standard deviation per axis of a point of the SfM cloud, / D
+    cloud_outliers: float = 0.0  # share of the cloud's points that lie anywhere
+    cloud_missing: float = 0.0  # share of the cloud's points that is cut out, in three places
     loss: LossConfig | None = None  # None: photometric loss only (C0)
     allocation: AllocationConfig | None = None  # None: DiffSoup's own resampling
     given: GivenConfig | None = None  # one's own mesh or scene; None: a shape of the study
@@ -200,7 +225,10 @@ class RunConfig:
             "split_height",
         ):
             _positive(self, name)
-        _one_of("background", self.background, ("white", "black"))
+        _one_of("background", self.background, BACKGROUNDS)
+        for name, beyond in NOISES.items():
+            if not 0 <= getattr(self, name) < beyond:
+                raise InputError(f"{name} must be at least 0 and below {beyond:g}, got {getattr(self, name)}")
         whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
         if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from paper_artifact.config import AllocationConfig, GivenConfig, RunConfig
+from paper_artifact.config import NOISES, AllocationConfig, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_alone, evaluate_soup, make_target, tails
@@ -31,6 +31,7 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.given import resolve
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.perturb import Perturbation
 from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
@@ -129,7 +130,10 @@ def make_run_allocation(
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     """Build the run's scene under `root`, or take the one that is there, and load it. Seeds share a scene."""
-    scene_config = SceneConfig(views=config.views, size=config.size, background=config.background)
+    perturbation = Perturbation(**{name: getattr(config, name) for name in NOISES})
+    scene_config = SceneConfig(
+        views=config.views, size=config.size, background=config.background, perturbation=perturbation
+    )
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 

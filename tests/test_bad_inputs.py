@@ -158,7 +158,7 @@ def test_loss_settings_are_refused_before_anything_is_made(setting, words, refus
 
 def test_a_loss_that_has_nothing_to_act_on(refused, tmp_path):
     arguments = [*tiny_arguments(), "--results", tmp_path / "results"]
-    refused([*arguments, "--loss=rho=0.2"], "condition C0 adds no loss, so it takes no loss settings (rho)")
+    refused([*arguments, "--loss=rho=0.2"], "condition C0 has no loss, so it takes no loss settings (rho)")
     refused([*arguments, "--condition=C1", "--loss=dimensions=0"], "no significant bar in dimension 0")
 
 

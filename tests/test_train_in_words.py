@@ -79,7 +79,7 @@ def test_the_command_line_trains_in_words_and_records_them(results, capsys):
         (["sphere", "--condition=T1", "--betti=1,0,1", "--loss=betti=1,0,1"], "are one setting"),
         (["sphere", "--condition=C1", "--betti=1,0,1"], "belongs to the loss kind 'betti'"),
         (["sphere", "--condition=C1", "--loss=samples=auto"], "samples=auto belongs to"),
-        (["sphere", "--betti=1,0,1"], "condition C0 adds no loss, so it takes no loss settings (betti)"),
+        (["sphere", "--betti=1,0,1"], "condition C0 has no loss, so it takes no loss settings (betti)"),
         (["my.obj", "--condition=T1"], "needs the Betti numbers of 'my.obj' in words: give --betti"),
     ],
 )

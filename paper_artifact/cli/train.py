@@ -212,22 +212,24 @@ def run(arguments: argparse.Namespace) -> int:
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
-    contradicted = warnings(record)
+    contradicted, notes = (remarks(record, kind) for kind in ("warnings", "notes"))
     if contradicted and arguments.strict:  # of a run that is recorded, or was resumed behind its audit
         raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
     summary(record)
     for each in contradicted:
         print(f"warning: {each}")
+    for each in notes:
+        print(f"note, when the loss set in: {each}")
     trained = config_of(record)
     results = arguments.results or results_of(trained)
     print(f"record: {record_path(trained, results / 'runs', record['defaults'])}")
     return 0
 
 
-def warnings(record: dict) -> list[str]:
-    """Return what a record says against the words that its loss was given."""
+def remarks(record: dict, kind: str) -> list[str]:
+    """Return what a record's audit says of the words that its loss was given: its "warnings" or "notes"."""
     audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
-    return [each for event in audits for each in event["warnings"]]
+    return [each for event in audits for each in event.get(kind, ())]
 
 
 def summary(record: dict) -> None:

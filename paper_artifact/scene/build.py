@@ -24,6 +24,15 @@ from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonac
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
+from paper_artifact.scene.holdout import EVERY
+from paper_artifact.scene.perturb import (
+    CLEAN,
+    Perturbation,
+    moved_camera,
+    noisy_image,
+    perturbed_cloud,
+    surrounding,
+)
 from paper_artifact.scene.texture import mesh_texture
 
 SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
@@ -38,11 +47,12 @@ class SceneConfig:
 
     views: int = 48  # cameras on a Fibonacci sphere, every 8th is held out
     size: int = 200  # image side, pixels
-    background: str = "white"  # or "black"
+    background: str = "white"  # "black" or "texture"
     supersample: int = 4  # samples per pixel and axis
     points: int = 15000  # of the SfM cloud, drawn from the surface, uniform by area
     texture_frequency: float = 1.0  # multiplies the texture's wave numbers
     seed: int = 0  # of the SfM cloud
+    perturbation: Perturbation = CLEAN  # of training views, cameras and cloud
 
     def __post_init__(self) -> None:
         for name, lowest, highest in (
@@ -66,7 +76,10 @@ class SceneConfig:
 
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
     """Return the sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
-    content = {"format": SCENE_FORMAT, "config": asdict(config), "mesh": mesh_hash(mesh), "name": mesh.name}
+    values = asdict(config)
+    if config.perturbation == CLEAN:  # a clean scene keeps the key it had before there were others
+        del values["perturbation"]
+    content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(mesh), "name": mesh.name}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -138,13 +151,22 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     names = [f"view_{index:03d}.png" for index in range(config.views)]
     (folder / "images").mkdir()
     views = list(zip(names, cameras, strict=True))
+    seen = {name for place, name in enumerate(names) if place % EVERY}  # what is trained on
     for name, camera in tqdm(views, desc=f"rendering {mesh.name}", unit="view", disable=not progress):
-        image = render_ground_truth(mesh, camera, background, config.supersample, config.texture_frequency)
+        behind = surrounding(camera) if config.background == "texture" and name in seen else background
+        image = render_ground_truth(mesh, camera, behind, config.supersample, config.texture_frequency)
+        if name in seen:
+            image = noisy_image(image, config.perturbation, names.index(name))
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
     positions, _, _ = sample_surface(
         mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud")
     )
     colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
+    positions, colours = perturbed_cloud(positions, colours, config.perturbation, mesh.diagonal)
+    poses = [
+        moved_camera(camera, config.perturbation, mesh.diagonal, place) if name in seen else camera
+        for place, (name, camera) in enumerate(views)
+    ]
     first = cameras[0]
     model = Model(
         cameras={
@@ -157,12 +179,12 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         },
         images={
             index + 1: Pose(name, 1, camera.quaternion, camera.translation)
-            for index, (name, camera) in enumerate(views)
+            for index, (name, camera) in enumerate(zip(names, poses, strict=True))
         },
-        point_ids=np.arange(1, config.points + 1),
+        point_ids=np.arange(1, len(positions) + 1),
         positions=positions,
         colours=colours,
-        errors=np.zeros(config.points),
+        errors=np.zeros(len(positions)),
     )
     write_model(model, folder / "sparse" / "0")
     np.savez(

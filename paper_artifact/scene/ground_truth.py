@@ -12,7 +12,11 @@ from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, world_to_clip
 from paper_artifact.scene.texture import mesh_texture
 
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+BACKGROUNDS = {
+    "white": (1.0, 1.0, 1.0),
+    "black": (0.0, 0.0, 0.0),
+    "texture": (0.5, 0.5, 0.5),  # what training and held-out views compose over; see `perturb.surrounding`
+}
 
 
 def background_colour(name: str) -> np.ndarray:
@@ -33,8 +37,8 @@ def render_ground_truth(
     """Return the image (H,W,3) float32 in [0,1] of the textured mesh.
 
     The scene is rasterized at `supersample` times the camera's resolution, coloured at each sample's surface
-    position (world units, perspective-correct), composited over `background` (3,), and averaged over boxes of
-    supersample².
+    position (world units, perspective-correct), composited over `background`, (3,) or (H,W,3), and averaged
+    over boxes of supersample².
     """
     matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
     clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]
@@ -51,5 +55,5 @@ def render_ground_truth(
     pixels = camera.height * camera.width
     missed = supersample**2 - np.bincount(pixel, minlength=pixels)
     sums = np.stack([np.bincount(pixel, colours[:, channel], pixels) for channel in range(3)], axis=1)
-    image = (sums + missed[:, None] * background) / supersample**2
+    image = (sums + missed[:, None] * background.reshape(-1, 3)) / supersample**2
     return image.reshape(camera.height, camera.width, 3).astype(np.float32)
