@@ -143,11 +143,7 @@ NOISES = {
 
 @dataclass(frozen=True)
 class GivenConfig:
-    """One's own data in a run: a mesh file or a scene folder, by content. Raises InputError out of range.
-
-    What is asked for names paths (`RunConfig.shape`, `target`); `paper_artifact.scene.given` puts digests in
-    their place, so that a record holds no path and a folder spelled differently, or moved, is the same run.
-    """
+    """One's own mesh or scene, by content: `scene.given.resolve` puts digests in the place of paths."""
 
     digest: str = ""  # sha256 (hex) of the mesh's geometry or the scene's files; "" before they were read
     target: str | None = None  # of a scene: mesh or bundle.json; in a record the sha256 of its content
@@ -157,16 +153,14 @@ class GivenConfig:
 
     def __post_init__(self) -> None:
         if not 1 <= self.downscale < math.inf:
-            raise InputError(
-                f"downscale must be at least 1, got {self.downscale}; 2 halves the width of a photograph"
-            )
+            raise InputError(f"downscale must be at least 1 (2 halves the width), got {self.downscale}")
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """One training run. Raises InputError for a value out of range."""
 
-    shape: str  # an analytic shape, the key of an external mesh, or a mesh file
+    shape: str  # an analytic shape, the key of an external mesh, a mesh file or a scene's folder
     condition: str = "C0"  # a tag of `paper_artifact.catalogue`; what it means stands in `loss`
     seed: int = 0  # of everything random
     steps: int = STEPS_OF_THE_STUDY
@@ -304,7 +298,7 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
 
 def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
     """Return what names a run: version, shape, condition, seed and the fields that differ from that version's
-    defaults. One's own data are named by their content, not by what they are called."""
+    defaults; one's own data by their content, not by what they are called."""
     named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
     values = {"defaults": version} | _differing(config, config_from({"shape": ""}, version)) | named
     if config.given is not None and config.given.digest:
@@ -362,12 +356,8 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
         good = value is None or isinstance(value, str)
     elif "tuple" in text:
         item = float if "tuple[float" in text else int
-        good = (
-            value is None
-            and "None" in text
-            or isinstance(value, tuple)
-            and all(type(x) is item for x in value)
-        )
+        whole = isinstance(value, tuple) and all(type(x) is item for x in value)
+        good = whole or (value is None and "None" in text)
     else:
         good = value is None or isinstance(value, tuple(PARTS.values()))
     if not good:

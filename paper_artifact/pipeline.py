@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_alone, evaluate_soup, make_target, tails
 from paper_artifact.files import OWN, RESULTS
+from paper_artifact.frame import SAME
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import (
@@ -29,7 +31,7 @@ from paper_artifact.record.store import (
 )
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
-from paper_artifact.scene.given import resolve
+from paper_artifact.scene.given import is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.scene.perturb import Perturbation
 from paper_artifact.soup.allocation import allocating_resampler
@@ -137,11 +139,10 @@ def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 
-def given_scene(config: GivenConfig, folder: Path, tell: Callable[[str], None] | None = None) -> Scene:
-    """Return the scene in `folder` as a run with these settings sees it. tell: called with each remark."""
-    scene = load_scene(
-        folder, downscale=config.downscale, background=config.background, holdout=config.holdout
-    )
+def given_scene(config: RunConfig, folder: Path) -> Scene:
+    """Return the scene in `folder` as a run sees it. Raises InputError for photographs that are too small."""
+    given = config.given or GivenConfig()
+    scene = load_scene(folder, downscale=given.downscale, background=given.background, holdout=given.holdout)
     height, width = scene.images.shape[2:]
     if min(height, width) < LEAST_SIDE:
         raise InputError(
@@ -149,6 +150,24 @@ def given_scene(config: GivenConfig, folder: Path, tell: Callable[[str], None] |
             "give a smaller --downscale"
         )
     return scene
+
+
+def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]:
+    """Return what a user should know before a run on a scene that was given, a sentence each."""
+    found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
+    if wanted > count:
+        found.append(
+            f"the run would start from {wanted} triangles ({config.initial_ratio:g} times the budget of "
+            f"{config.budget}), but the SfM cloud has {count} points: it starts from {count}"
+        )
+    if bundle is not None:
+        ratio = scene.frame.length(bundle.diagonal) / frame_diagonal(scene.points)
+        if not 0.5 <= ratio <= 2:
+            found.append(
+                f"the target's diagonal is {ratio:.3g} times the SfM cloud's: bring both to one unit of "
+                "length, or its bars are compared with others"
+            )
+    return found
 
 
 def run(
@@ -188,15 +207,24 @@ def run(
             f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
         ) from error
     if given.folder is not None and config.given is not None:
-        scene = given_scene(config.given, given.folder, tell)
+        scene = given_scene(config, given.folder)
+        if tell is not None:
+            for remark in remarks(config, scene, bundle):
+                tell(remark)
     else:
         assert mesh is not None
         scene = prepare_scene(config, mesh, results / "scenes")
     if in_words:  # from the scene: the mesh is for the evaluation alone
         term, bundle = make_run_term(config, None, scene.points, strict=strict, tell=tell)
+    frame, truth = scene.frame, mesh
+    if frame != SAME:
+        mesh = None if mesh is None else mesh.framed(frame)
+        if bundle is not None:
+            bundle = replace(bundle, diagonal=frame.length(bundle.diagonal))
+            term, _ = make_run_term(config, None, bundle=bundle)
     target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
     resampler, importance = make_run_allocation(config, mesh, scene.points)
-    source = mesh_hash(mesh) if given.folder is None and mesh is not None else config_hash(config)
+    source = mesh_hash(truth) if given.folder is None and truth is not None else config_hash(config)
     checkpoint = results / "checkpoints" / f"{path.stem}-{source[:8]}.pt"
     cpu = time.process_time()
 
@@ -227,24 +255,26 @@ def run(
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
     }
-    if mesh is not None and target is not None:
+    if truth is not None and target is not None:
         sections["mesh"] = {
-            "name": mesh.name,
-            "sha256": mesh_hash(mesh),
-            "diagonal": mesh.diagonal,
-            "betti": mesh.betti,
+            "name": truth.name,
+            "sha256": mesh_hash(truth),
+            "diagonal": truth.diagonal,
+            "betti": truth.betti,
             "dimension": target.dimension,
             "floor": target.floor,
         }
     if given.folder is not None:
         sections["scene"] = scene_section(scene)
+    if frame != SAME:
+        sections["frame"] = frame.to_json()
     if term is not None:
         name = "statement" if bundle is None else "bundle"
         sections |= {"topology": term.log, name: term.target.to_json()}
     losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
-    save_soup(results / "soups" / f"{path.stem}.npz", state.soup)
+    save_soup(results / "soups" / f"{path.stem}.npz", state.soup, frame)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
     return record
@@ -253,7 +283,7 @@ def run(
 def results_of(config: RunConfig) -> Path:
     """Return the folder that a run's results go to where none is named: results/ for the study, its
     git-ignored results/own/ for one's own data, which nobody means to publish with the study's records."""
-    return RESULTS if config.given is None else OWN
+    return OWN if is_own(config) else RESULTS
 
 
 def holdout_section(soup: Soup, scene: Scene) -> dict:

@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, shape_row, study_config
-from paper_artifact.config import STEPS_OF_THE_STUDY, GivenConfig, RunConfig, parse_changes, with_changes
+from paper_artifact.cli._scene_options import add_scene_arguments, given_of
+from paper_artifact.config import STEPS_OF_THE_STUDY, RunConfig, parse_changes
 from paper_artifact.errors import InputError
+from paper_artifact.topology.statement import NAMES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,51 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--again", action="store_true", help="run even if there is a record of this configuration"
     )
-
-
-def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that say which scene of one's own is trained on, and how it is read."""
-    group = parser.add_argument_group("one's own photographs, instead of a shape")
-    group.add_argument(
-        "--scene",
-        metavar="DIR",
-        help="a COLMAP scene: images/ (undistorted) and sparse/, as COLMAP and the verb scene write "
-        "it; transparent pixels and masks/ (white: counts) are taken out",
-    )
-    group.add_argument(
-        "--target",
-        metavar="MESH|bundle.json",
-        help="what C1 and C2 act towards: a mesh in the scene's own frame, which is also evaluated against, "
-        "or a bundle of the verb audit in the scene's unit of length",
-    )
-    group.add_argument(
-        "--downscale", type=float, metavar="F", help="make the photographs smaller by this factor"
-    )
-    group.add_argument(
-        "--background",
-        metavar="COLOUR",
-        help="white, black, mean (of the photographs) or #rrggbb: where nothing is, as the sky; "
-        "(default: the scene's, else white)",
-    )
-    group.add_argument(
-        "--holdout",
-        metavar="RULE",
-        help="views to judge by: K (every K-th), none, names (a.jpg,b.jpg), or auto: one of about eight, the "
-        "one that its neighbours surround most closely, since a walk's extreme views tell nothing "
-        "(default: auto; every 8th for scenes of the verb scene)",
-    )
-
-
-def given_of(arguments: argparse.Namespace) -> GivenConfig | None:
-    """Return what the options of `add_scene_arguments` say, None without --scene. InputError when they say it
-    of no scene."""
-    names = ("target", "downscale", "background", "holdout")
-    said = {name: value for name in names if (value := getattr(arguments, name)) is not None}
-    if arguments.scene is not None:
-        return with_changes(GivenConfig(), said)
-    if said:
-        raise InputError(f"--{' and --'.join(said)} belong to --scene DIR; give the scene's folder too")
-    return None
 
 
 def config_from_arguments(arguments: argparse.Namespace) -> RunConfig:
@@ -180,13 +137,14 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
+    from paper_artifact.scene.given import called
     from paper_artifact.train.state import TrainingError
 
     config = config_from_arguments(arguments)
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
     config = audited(config, parse_changes(arguments.loss, "--loss"))
-    shown = Path(config.shape).name
+    shown = called(config)
     set_thread_count(arguments.threads)
     torch.set_num_threads(1)
     with tqdm(
@@ -253,11 +211,11 @@ def summary(record: dict) -> None:
 
 def counts_text(dump: dict) -> str:
     """Return what a soup shows without a ground truth (`evaluate_alone`), in words: per dimension the bars
-    beyond the floor, the shortest of them, and the longest below, in floors."""
-    words = ("components", "loops", "voids")
+    beyond the floor, how many floors the shortest of them has, and the longest below."""
     parts = []
-    for name, count, margins in zip(words, dump["counts"], dump["margins"], strict=True):
-        last = f"{margins[count - 1]:.2f}" if count else "–"
-        following = f"{margins[count]:.2f}" if len(margins) > count else "–"
-        parts.append(f"{count + (name == 'components')} {name} (floors: {last}, next {following})")
+    for dimension, (count, margins) in enumerate(zip(dump["counts"], dump["margins"], strict=True)):
+        number, (one, more) = count + (dimension == 0), NAMES[dimension]
+        kept = [f"{margins[count - 1]:.2f} floors"] if 0 < count <= len(margins) else []
+        kept += [f"next {margins[count]:.2f}"] if count < len(margins) else []
+        parts.append(f"{number} {one if number == 1 else more} ({', '.join(kept) or 'many'})")
     return ", ".join(parts)

@@ -65,6 +65,7 @@ def read_description(root: Path) -> dict:
             and background.min() >= 0
             and background.max() <= 1
             and description["radius"] > 0
+            and isinstance(description.get("files", {}), dict)
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
@@ -77,6 +78,24 @@ def read_description(root: Path) -> dict:
     return description
 
 
+def held_files(root: Path) -> dict[str, str]:
+    """Return {path within the folder: sha256 (hex)} of all files of a scene that is being built."""
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    return {path.relative_to(root).as_posix(): sha256_of(path.read_bytes()) for path in files}
+
+
+def check_files(root: Path, description: dict) -> None:
+    """Raise InputError when a file of a built scene is not what scene.json ("files") says of it; scenes of
+    others, and of older versions, say nothing."""
+    for name, expected in description.get("files", {}).items():
+        file = root / name
+        if file.is_file() and sha256_of(file.read_bytes()) != expected:
+            raise InputError(
+                f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
+                f'scene and build it again, or, if it was changed on purpose, "files" in {DESCRIPTION}'
+            )
+
+
 def scene_digest(root: Path) -> str:
     """Return the sha256 (hex) of all that a run takes from a scene's folder: model, photographs, masks, and
     background, radius and held-out rule of scene.json; not where it lies or what it is called.
@@ -86,16 +105,17 @@ def scene_digest(root: Path) -> str:
     folder = model_folder(root)
     names = sorted(pose.name for pose in read_model(folder).images.values())
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    held = {f"model/{name}": _sha256((folder / (name + suffix)).read_bytes()) for name in FILES}
+    held = {f"model/{name}": sha256_of((folder / (name + suffix)).read_bytes()) for name in FILES}
     for name in names:
-        held[f"images/{name}"] = _sha256(read_file(root / "images" / name))
+        held[f"images/{name}"] = sha256_of(read_file(root / "images" / name))
         if (mask := mask_of(root, name)) is not None:
-            held[f"masks/{name}"] = _sha256(read_file(mask))
+            held[f"masks/{name}"] = sha256_of(read_file(mask))
     description = read_description(root)
     said = {key: description.get(key) for key in ("background", "radius", "holdout")}
     said["own"] = "key" in description
-    return _sha256(json.dumps([held, said], sort_keys=True).encode())
+    return sha256_of(json.dumps([held, said], sort_keys=True).encode())
 
 
-def _sha256(data: bytes) -> str:
+def sha256_of(data: bytes) -> str:
+    """Return the sha256 (hex) of `data`."""
     return hashlib.sha256(data).hexdigest()

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from paper_artifact.config import GivenConfig, RunConfig
+from paper_artifact.config import NOISES, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, mesh_hash
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.find import find_mesh, is_named
 from paper_artifact.scene.folder import model_folder, scene_digest, scene_name, scene_root
-from paper_artifact.scene.shapes import SHAPES
 
 if TYPE_CHECKING:
     from paper_artifact.topology.bundle import Bundle
 
+RENDERED = ("views", "size", "background", *NOISES)  # settings of scenes that are made of a mesh
 NEEDS_TARGET = ("topology", "repulsion")  # kinds of loss
 
 
@@ -32,6 +32,18 @@ class Given:
     mesh: Mesh | None  # the ground truth: the shape, or a scene's target where that is a mesh
     folder: Path | None = None  # of a scene that is there already; None: it is rendered from the mesh
     bundle: Bundle | None = None  # a scene's target where that is a bundle
+
+
+def is_own(config: RunConfig) -> bool:
+    """Return whether a configuration asks for one's own data: a scene, or a mesh file."""
+    return config.given is not None or (not is_named(config.shape) and Path(config.shape).exists())
+
+
+def called(config: RunConfig) -> str:
+    """Return what the shape, mesh or scene of a configuration is called, without its path."""
+    if is_own(config) and Path(config.shape).is_dir():
+        return scene_name(scene_root(config.shape))
+    return Path(config.shape).name
 
 
 def resolve(config: RunConfig, mesh: Mesh | None = None) -> Given:
@@ -47,11 +59,11 @@ def resolve(config: RunConfig, mesh: Mesh | None = None) -> Given:
         raise InputError(
             f"a record does not know where {config.shape} lies; give the path of the mesh or scene"
         )
+    if not is_own(config):
+        return Given(config, find_mesh(config.shape))
     if given is not None or (path.is_dir() and model_folder(scene_root(path)).is_dir()):
         return _scene(config)
     mesh = find_mesh(config.shape)
-    if not path.is_file() or config.shape in SHAPES:
-        return Given(config, mesh)
     own = GivenConfig(digest=mesh_hash(mesh))
     return Given(replace(config, shape=path.resolve().name, given=own), mesh)
 
@@ -60,6 +72,13 @@ def _scene(config: RunConfig) -> Given:
     """Return the scene in the folder `config.shape` with its target, if any."""
     root, given, loss = scene_root(config.shape), config.given or GivenConfig(), config.loss
     name = scene_name(root)
+    plain = RunConfig(config.shape)
+    unused = [each for each in RENDERED if getattr(config, each) != getattr(plain, each)]
+    if unused:
+        raise InputError(
+            f"{', '.join(unused)} would change scenes that are rendered from a mesh, not the one in {root}; "
+            "leave out --set of it, or see --downscale and --background"
+        )
     if given.target is None:
         if config.allocation is not None or (loss is not None and loss.kind in NEEDS_TARGET):
             raise InputError(

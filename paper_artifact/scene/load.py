@@ -10,10 +10,11 @@ import numpy as np
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_npz
+from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
+from paper_artifact.scene.cameras import FAR, NEAR, framed, world_to_clip
 from paper_artifact.scene.colmap import read_model
-from paper_artifact.scene.folder import GROUND_TRUTH, model_folder, read_description, scene_root
+from paper_artifact.scene.folder import GROUND_TRUTH, check_files, model_folder, read_description, scene_root
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.holdout import AUTO, EVERY, held_out
 from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels
@@ -35,6 +36,7 @@ class Scene:
     train: np.ndarray  # (k,) int64, indices of the views to train on
     holdout: np.ndarray  # (m,) int64, indices of the views held out
     radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
+    frame: Frame = SAME  # of the world units here, which are the files' unless those are far, huge or tiny
 
     def colours(self, views: np.ndarray | list[int] | int) -> np.ndarray:
         """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
@@ -57,6 +59,8 @@ def load_scene(
     camera, fewer than two views, an SfM cloud of fewer than four points.
     """
     path = scene_root(path)
+    description = read_description(path)
+    check_files(path, description)
     model = read_model(model_folder(path))
     order = sorted(model.images, key=lambda image: model.images[image].name)
     names = tuple(model.images[image].name for image in order)
@@ -68,9 +72,11 @@ def load_scene(
         raise InputError(
             f"{path} has an SfM cloud of {len(model.positions)} points; at least 4 are needed to start from"
         )
-    description = read_description(path)
-    radius = float(description.get("radius", 0.0)) or _cloud_radius(model.positions)
-    cameras = [model.camera(image) for image in order]
+    centre, radius = _cloud_ball(model.positions)
+    radius = float(description.get("radius", 0.0)) or radius
+    frame = frame_for(centre, radius)
+    radius = frame.length(radius)
+    cameras = [framed(model.camera(image), frame) for image in order]
     centres = np.stack([camera.position for camera in cameras])
     own = str(EVERY) if "key" in description else AUTO  # the study's scenes keep their held-out views
     chosen = held_out(holdout or description.get("holdout", own), names, centres)
@@ -105,10 +111,11 @@ def load_scene(
         ).astype(np.float32),
         camera_centres=centres.astype(np.float32),
         background=colour,
-        points=model.positions.astype(np.float32),
+        points=frame.inward(model.positions).astype(np.float32),
         train=train,
         holdout=chosen,
         radius=radius,
+        frame=frame,
     )
 
 
@@ -146,8 +153,9 @@ def load_ground_truth(path: Path | str) -> Mesh:
     return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)
 
 
-def _cloud_radius(positions: np.ndarray) -> float:
-    """Return half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers.
+def _cloud_ball(positions: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the centre (3,) and half the diagonal of the box of the 1st to 99th percentile: real SfM clouds
+    have far outliers.
 
     World units.
     """
@@ -155,4 +163,4 @@ def _cloud_radius(positions: np.ndarray) -> float:
     radius = float(np.linalg.norm(high - low)) / 2
     if radius <= 0:
         raise InputError("the SfM cloud is a single point; export the COLMAP model again")
-    return radius
+    return (low + high) / 2, radius
