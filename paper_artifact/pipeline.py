@@ -16,7 +16,7 @@ from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
-from paper_artifact.files import RESULTS
+from paper_artifact.files import RESULTS, write_failure
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
@@ -146,9 +146,7 @@ def run(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
-        ) from error
+        raise write_failure(f"results to {results}", error) from error
     scene = prepare_scene(config, mesh, results / "scenes")
     if in_words:  # from the scene: the mesh is for the evaluation alone
         term, bundle = make_run_term(config, None, scene.points, strict=strict, tell=tell)

@@ -33,12 +33,7 @@ def write_shell(path: Path | str, shell: Mesh) -> Certificate:
     """
     check_format(path)
     with atomic_path(path) as temporary:
-        try:
-            temporary.write_bytes(_encoded(shell, Path(path).suffix.lower()))
-        except OSError as error:
-            raise InputError(
-                f"cannot write {path}: {error.strerror}; free some space, or choose another folder"
-            ) from error
+        temporary.write_bytes(_encoded(shell, Path(path).suffix.lower()))
         again = load_mesh(temporary, welded=False)
         certificate = certify_mesh(Mesh(again.vertices, again.faces, Path(path).stem))
         if not np.array_equal(np.unique(again.vertices, axis=0), np.unique(shell.vertices, axis=0)):

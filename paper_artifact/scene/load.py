@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_npz
+from paper_artifact.files import inside, load_json, load_npz
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
-from paper_artifact.scene.colmap import read_model
+from paper_artifact.scene.colmap import FARTHEST, read_model
 
 HOLDOUT_EVERY = 8
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
+MOST_PIXELS = 2**27  # of one image: 134 million, more than any camera gives
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,8 @@ def load_scene(path: Path | str) -> Scene:
     path = Path(path)
     if not path.is_dir():
         raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")
-    sparse = path / "sparse" / "0"
-    model = read_model(sparse if sparse.is_dir() else path / "sparse")
+    sparse = inside(path, "sparse/0")
+    model = read_model(sparse if sparse.is_dir() else inside(path, "sparse"))
     order = sorted(model.images, key=lambda image: model.images[image].name)
     names = tuple(model.images[image].name for image in order)
     if len(names) < 2:
@@ -71,7 +73,7 @@ def load_scene(path: Path | str) -> Scene:
     radius = float(description.get("radius", 0.0)) or _cloud_radius(model.positions)
     cameras = [model.camera(image) for image in order]
     images = [
-        _read_image(path / "images" / name, camera.width / camera.height, background)
+        _read_image(inside(path, f"images/{name}"), camera.width / camera.height, background)
         for name, camera in zip(names, cameras, strict=True)
     ]
     sizes = sorted({image.shape[1:] for image in images})
@@ -100,7 +102,7 @@ def load_ground_truth(path: Path | str) -> Mesh:
 
     Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
     """
-    file = Path(path) / GROUND_TRUTH
+    file = inside(Path(path), GROUND_TRUTH)
     if not file.is_file():
         raise InputError(
             f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
@@ -109,28 +111,32 @@ def load_ground_truth(path: Path | str) -> Mesh:
     try:
         stored = load_npz(file)
         vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (OSError, ValueError, KeyError) as error:
+        known = tuple(int(value) for value in betti)
+        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
-    known = tuple(int(value) for value in betti)
-    return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)
+    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.shape[1] == faces.shape[1] == 3:
+        raise InputError(f"{file} holds no mesh; remove the scene's folder and build it again")
+    mesh = checked_mesh(vertices, faces, str(file), known if len(known) == 3 else None, welded=False)
+    return replace(mesh, name=str(name))
 
 
 def _description(path: Path) -> dict:
-    file = path / DESCRIPTION
+    file = inside(path, DESCRIPTION)
     if not file.is_file():
         return {}
     try:
-        description = json.loads(file.read_text(encoding="utf-8"))
+        description = load_json(file)
         background = np.array(description["background"], dtype=np.float64)
         sound = (
             background.shape == (3,)
             and background.min() >= 0
             and background.max() <= 1
-            and description["radius"] > 0
+            and 0 < description["radius"] < FARTHEST
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
@@ -159,11 +165,12 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
     aspect: the camera's width / height, which it must have; resized copies are welcome.
     """
     try:
-        with Image.open(file) as opened:
+        with warnings.catch_warnings(action="ignore"), Image.open(file, formats=IMAGE_FORMATS) as opened:
+            width, height = opened.size
+            _check_size(file, width, height, aspect)
             if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
-                pixels = np.asarray(opened.convert("RGBA"), dtype=np.float32) / 255
-                pixels = pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:])
-                pixels = np.rint(255 * pixels).astype(np.uint8)
+                rows = np.array_split(np.asarray(opened.convert("RGBA")), -(-height // 256))
+                pixels = np.concatenate([_over(each, background) for each in rows])
             elif opened.mode in ("RGB", "L", "P", "1", "CMYK", "YCbCr"):
                 pixels = np.asarray(opened.convert("RGB"))
             else:
@@ -172,13 +179,29 @@ def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray
         raise InputError(
             f"no image at {file}, which the COLMAP model lists; copy the images folder too"
         ) from error
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{file} is damaged or no image; copy it again") from error
-    height, width = pixels.shape[:2]
+    except InputError:
+        raise
+    except Exception as error:  # PIL's decoders raise whatever their decoding meets
+        raise InputError(f"{file} is damaged or no image ({_short(error)}); copy it again") from error
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _check_size(file: Path, width: int, height: int, aspect: float) -> None:
+    if width * height > MOST_PIXELS:
+        raise InputError(f"{file} has {width}×{height} pixels, too many to be a photograph; scale it down")
     if abs(width - height * aspect) > max(1.0, aspect):
         raise InputError(
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
-    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _over(rgba: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Return pixels (h,W,4) uint8 over the background, (h,W,3) uint8."""
+    pixels = rgba.astype(np.float32) / 255
+    return np.rint(255 * (pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:]))).astype(
+        np.uint8
+    )
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__
