@@ -124,6 +124,27 @@ class AllocationConfig:
 
 
 @dataclass(frozen=True)
+class GivenConfig:
+    """One's own data in a run: a mesh file or a scene folder, by content. Raises InputError out of range.
+
+    What is asked for names paths (`RunConfig.shape`, `target`); `paper_artifact.scene.given` puts digests in
+    their place, so that a record holds no path and a folder spelled differently, or moved, is the same run.
+    """
+
+    digest: str = ""  # sha256 (hex) of the mesh's geometry or the scene's files; "" before they were read
+    target: str | None = None  # of a scene: mesh or bundle.json; in a record the sha256 of its content
+    downscale: float = 1.0  # of a scene: every photograph is made smaller by this factor
+    background: str | None = None  # of a scene: see `scene.load.load_scene`; None: its own, else white
+    holdout: str | None = None  # of a scene: see `scene.holdout.held_out`; None: the scene's own rule
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.downscale < math.inf:
+            raise InputError(
+                f"downscale must be at least 1, got {self.downscale}; 2 halves the width of a photograph"
+            )
+
+
+@dataclass(frozen=True)
 class RunConfig:
     """One training run. Raises InputError for a value out of range."""
 
@@ -149,6 +170,7 @@ class RunConfig:
     samples: int = 20_000  # surface samples of an evaluation
     loss: LossConfig | None = None  # None: photometric loss only (C0)
     allocation: AllocationConfig | None = None  # None: DiffSoup's own resampling
+    given: GivenConfig | None = None  # one's own mesh or scene; None: a shape of the study
 
     def __post_init__(self) -> None:
         lowest = {
@@ -191,9 +213,10 @@ class RunConfig:
             )
 
 
-Config = TypeVar("Config", LossConfig, AllocationConfig, RunConfig)
+Config = TypeVar("Config", LossConfig, AllocationConfig, GivenConfig, RunConfig)
+Part = LossConfig | AllocationConfig | GivenConfig
 # fields of a RunConfig that are configurations themselves
-PARTS = {"loss": LossConfig, "allocation": AllocationConfig}
+PARTS: dict[str, Any] = {"loss": LossConfig, "allocation": AllocationConfig, "given": GivenConfig}
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -224,7 +247,7 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     return parsed
 
 
-def config_values(config: LossConfig | AllocationConfig | RunConfig) -> dict[str, Any]:
+def config_values(config: Part | RunConfig) -> dict[str, Any]:
     """Return the configuration as a nested dict of all its fields, tuples kept."""
     values = {field.name: getattr(config, field.name) for field in fields(config)}
     return {
@@ -253,9 +276,11 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
 
 def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
     """Return what names a run: version, shape, condition, seed and the fields that differ from that version's
-    defaults."""
+    defaults. One's own data are named by their content, not by what they are called."""
     named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
     values = {"defaults": version} | _differing(config, config_from({"shape": ""}, version)) | named
+    if config.given is not None and config.given.digest:
+        del values["shape"]
     for name, kind in PARTS.items():
         values.pop(name, None)
         if (part := getattr(config, name)) is not None:
@@ -305,6 +330,8 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
     }
     if kind in (int, float, bool, str):
         good = fits[kind.__name__]
+    elif text == "str | None":
+        good = value is None or isinstance(value, str)
     elif "tuple" in text:
         item = float if "tuple[float" in text else int
         good = (

@@ -10,7 +10,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.mesh import load_mesh
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.ground_truth import BACKGROUNDS
-from paper_artifact.scene.load import HOLDOUT_EVERY
+from paper_artifact.scene.holdout import EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
 from paper_artifact.scene.transforms import CLOUDS, TransformsConfig, transforms_scene
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--views",
         type=int,
-        help=f"cameras, every {HOLDOUT_EVERY}th is held out (default: {default.views}; of --transforms all)",
+        help=f"cameras, every {EVERY}th is held out (default: {default.views}; of --transforms all)",
     )
     parser.add_argument(
         "--size",
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     config = SceneConfig(**given)
     mesh = make_shape(arguments.shape) if arguments.shape is not None else load_mesh(arguments.mesh)
     folder = build_scene(mesh, config, arguments.out, progress=not arguments.quiet)
-    held_out = len(range(0, config.views, HOLDOUT_EVERY))
+    held_out = len(range(0, config.views, EVERY))
     print(
         f"{folder}: {mesh.name} ({len(mesh.faces)} triangles, diagonal {mesh.diagonal:.4g}), "
         f"{config.views} views of {config.size}×{config.size} pixels ({held_out} held out), "
@@ -103,6 +103,6 @@ def _from_images(arguments: argparse.Namespace, config: TransformsConfig) -> int
     views = len(list((folder / "images").iterdir()))
     print(
         f"{folder}: {views} views of at most {config.size} pixels "
-        f"({len(range(0, views, HOLDOUT_EVERY))} held out), {config.points} points ({config.cloud})"
+        f"({len(range(0, views, EVERY))} held out), {config.points} points ({config.cloud})"
     )
     return 0

@@ -22,12 +22,11 @@ from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonacci_cameras
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH
 from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
 from paper_artifact.scene.texture import mesh_texture
 
 SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
-DESCRIPTION = "scene.json"
-GROUND_TRUTH = "ground_truth.npz"
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from paper_artifact.errors import InputError
@@ -14,12 +16,14 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
 def background_colour(name: str) -> np.ndarray:
-    """Return the RGB colour (3,) float32 in [0,1] of a background name.
+    """Return the RGB colour (3,) float32 in [0,1] of a background: white, black or "#rrggbb".
 
-    Raises InputError for any but white and black.
+    Raises InputError for any other.
     """
+    if re.fullmatch("#[0-9a-fA-F]{6}", name):
+        return np.frombuffer(bytes.fromhex(name[1:]), np.uint8) / np.float32(255)
     if name not in BACKGROUNDS:
-        raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}")
+        raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}, or #rrggbb")
     return np.array(BACKGROUNDS[name], dtype=np.float32)
 
 

@@ -24,11 +24,12 @@ from tqdm import tqdm
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
-from paper_artifact.scene.build import DESCRIPTION
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
-from paper_artifact.scene.whole import holds, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION
+from paper_artifact.scene.holdout import AUTO
 from paper_artifact.scene.register import HINTS, LEAST, Registered, need_pycolmap, register
+from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same photographs would give another scene
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
@@ -118,6 +119,7 @@ def photographs_scene(
             "pycolmap": colmap.__version__,
             "key": key,
             "config": asdict(config),
+            "holdout": AUTO,
             "background": empty_colour(model, temporary / "images"),
             "radius": float(np.linalg.norm(high - low)) / 2,
             "photographs": facts,

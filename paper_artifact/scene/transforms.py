@@ -21,12 +21,12 @@ from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
 from paper_artifact.randomness import stream
-from paper_artifact.scene.build import DESCRIPTION
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
-from paper_artifact.scene.whole import holds, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.hull import hull_cloud, view_box
+from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same file would give another scene
 CLOUDS = ("hull", "random")

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from paper_artifact.errors import InputError
-from paper_artifact.scene.build import DESCRIPTION
+from paper_artifact.scene.folder import DESCRIPTION
 
 
 def holds(folder: Path, key: str) -> bool:
