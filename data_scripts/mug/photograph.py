@@ -2,7 +2,7 @@
 sensor.
 
     python -m venv ../mitsuba && ../mitsuba/bin/pip install mitsuba trimesh scipy pillow
-    ../mitsuba/bin/python data_scripts/mug/photograph.py [--views 44] [--samples 10] [--out DIR]
+    ../mitsuba/bin/python data_scripts/mug/photograph.py [--views 42] [--samples 8] [--out DIR]
 
 Mitsuba 3 renders (a path tracer: glaze, shadows, light between surfaces); the lens bends by one radial term,
 the sensor adds shot and read noise, JPEG does the rest. Mitsuba is no dependency of the project: the
@@ -187,8 +187,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--views", type=int, default=44)
-    parser.add_argument("--samples", type=int, default=10, help="paths per pixel")
+    parser.add_argument("--views", type=int, default=42)
+    parser.add_argument("--samples", type=int, default=8, help="paths per pixel")
     parser.add_argument("--quality", type=int, default=80, help="of the JPEG files")
     parser.add_argument("--first", type=int, default=0, help="view to begin with; those that are there stay")
     parser.add_argument("--out", type=Path, default=HERE)

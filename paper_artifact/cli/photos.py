@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from paper_artifact.scene.photographs import PhotosConfig, photographs_scene
+from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

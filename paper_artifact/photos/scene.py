@@ -24,11 +24,11 @@ from tqdm import tqdm
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
+from paper_artifact.photos.register import HINTS, LEAST, Registered, need_pycolmap, register
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.holdout import AUTO
-from paper_artifact.scene.register import HINTS, LEAST, Registered, need_pycolmap, register
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same photographs would give another scene
