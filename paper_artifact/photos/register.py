@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
+from paper_artifact.photos.exposure import relative_exposures
 
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 HINTS = (
@@ -33,6 +34,7 @@ class Registered(NamedTuple):
     points: int  # of the sparse cloud
     error: float  # mean reprojection error, pixels of the undistorted pictures' originals
     track: float  # mean number of pictures that see a point
+    exposures: dict[str, float]  # of the registered pictures by name, relative to their geometric mean
 
 
 def need_pycolmap() -> Any:
@@ -101,6 +103,7 @@ def register(
         model.num_points3D(),
         model.compute_mean_reprojection_error(),
         model.compute_mean_track_length(),
+        relative_exposures(model, pictures),
     )
 
 

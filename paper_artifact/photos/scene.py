@@ -24,6 +24,7 @@ from tqdm import tqdm
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json
+from paper_artifact.photos.exposure import even_out
 from paper_artifact.photos.register import HINTS, LEAST, Registered, need_pycolmap, register
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
@@ -44,9 +45,11 @@ class PhotosConfig:
 
     size: int = 800  # longest side of the scene's images, pixels
     features: int = 1600  # longest side of the pictures that features are found on, pixels
+    even: bool = True  # bring the photographs to one exposure, see `photos.exposure`
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        for name in ("size", "features"):
+            value = getattr(self, name)
             if not 64 <= value <= 16384:
                 raise InputError(f"--{name} must be from 64 to 16384 pixels, got {value}")
 
@@ -92,7 +95,7 @@ def photographs_scene(
     key = _key(photographs, config)
     if holds(folder, key):
         held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["photographs"]
-        return Registered(folder, tuple(held["names"]), held["points"], held["error"], held["track"])
+        return Registered(folder, **{**held, "names": tuple(held["names"])})
     colmap = need_pycolmap()
     with whole_folder(folder) as temporary:
         work = temporary / "work"
@@ -103,16 +106,12 @@ def photographs_scene(
         model = upright(read_model(found.folder / "sparse"))
         (temporary / "images").mkdir()
         model = _cropped(model, found.folder / "images", temporary / "images")
+        if config.even:
+            even_out(temporary / "images", found.exposures)
         write_model(model, temporary / "sparse" / "0")
         shutil.rmtree(work)
         low, high = np.percentile(model.positions, [1, 99], axis=0)
-        facts = {
-            "names": list(found.names),
-            "given": len(photographs),
-            "points": found.points,
-            "error": found.error,
-            "track": found.track,
-        }
+        facts = {name: value for name, value in found._asdict().items() if name != "folder"}
         description = {
             "format": FORMAT,
             "package": __version__,
