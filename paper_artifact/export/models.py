@@ -30,7 +30,7 @@ def write_glb(path: Path | str, triangles: Triangles) -> None:
     """
     shown = triangles.visible()
     mesh = _trimesh(shown, srgb_to_linear(shown.colours), np.ones_like(shown.opacity))
-    write_bytes(path, export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_unlit))
+    write_bytes(path, export_glb(mesh.scene(), include_normals=False, tree_postprocessor=unlit))
 
 
 def srgb_to_linear(colours: np.ndarray) -> np.ndarray:
@@ -49,9 +49,9 @@ def _trimesh(triangles: Triangles, colours: np.ndarray, opacity: np.ndarray) -> 
     )
 
 
-def _unlit(tree: dict) -> None:
-    """Give every primitive one unlit, double-sided material: a soup has no inside, its colours hold their
-    light.
+def unlit(tree: dict) -> None:
+    """Give every primitive of a glTF tree one unlit, double-sided material, in place: a soup has no inside,
+    its colours hold their light.
     """
     tree["materials"] = [
         {
