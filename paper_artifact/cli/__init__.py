@@ -40,6 +40,7 @@ VERBS: dict[str, Verb] = {
     "fetch": Verb(
         "fetch", "download the external meshes at their pinned commits, or read them from a mirror"
     ),
+    "photos": Verb("photos", "register photographs (structure from motion) and make a COLMAP scene of them"),
     "scene": Verb(
         "scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"
     ),
