@@ -1,4 +1,4 @@
-"""Notebooks 03, 04, 06, 07, 10, 14, 15, 18: long measurements, kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 04, 06, 07, 10, 14 to 19: long measurements, kept in `results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -47,9 +47,7 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_speed",
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
     ),
-    "photographs": (
-        "measure_photographs",
-        "the mug of data_scripts/mug from its photographs, C0 and T1, against its true surface (pycolmap)",
+"""Notebooks 03, 04, 06, 07, 10, 14 to 19: long measurements, kept in `results/measured/NAME.csv`.
     ),
     "peers": (
         "measure_peers",
