@@ -32,6 +32,7 @@ def find_checkout(package: Path) -> Path | None:
 
 REPOSITORY = find_checkout(Path(__file__).parent) or Path.cwd()
 RESULTS = Path(os.environ.get(RESULTS_VARIABLE) or REPOSITORY / "results").absolute()  # runs are written here
+OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from whatever folder one calls
 
 
 @contextmanager

@@ -7,13 +7,14 @@ import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from paper_artifact.errors import InputError
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
@@ -43,6 +44,10 @@ class Mesh:
     def radius(self) -> float:
         """Radius of the bounding sphere around `centre`, world units; 1 for the unit sphere."""
         return float(np.linalg.norm(self.vertices - self.centre, axis=1).max())
+
+    def framed(self, frame: Frame) -> Mesh:
+        """Return the mesh in the coordinates of a run with this frame; itself where they are equal."""
+        return self if frame == SAME else replace(self, vertices=frame.inward(self.vertices))
 
 
 def mesh_hash(mesh: Mesh) -> str:

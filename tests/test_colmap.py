@@ -120,7 +120,7 @@ def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
     "changed, words",
     [
         ({"cameras_txt": "1 OPENCV 640 480 500 500 320 240 .1 0 0 0\n"}, "OPENCV camera; undistort first"),
-        ({"cameras_txt": "1 WIDE_ANGLE 640 480 500\n"}, "unknown camera model WIDE_ANGLE"),
+        ({"cameras_txt": "1 WIDE_ANGLE 640 480 500\n"}, "WIDE_ANGLE camera; undistort first"),
         ({"cameras_txt": "1 PINHOLE 640 480 500 500 320\n"}, "PINHOLE with 3 parameters"),
         ({"cameras_txt": "1 PINHOLE 640 480 -5 500 320 240\n"}, "damaged"),
         ({"cameras_txt": "hello\n"}, "damaged"),

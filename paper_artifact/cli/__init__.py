@@ -55,6 +55,7 @@ VERBS: dict[str, Verb] = {
     "certify": Verb("certify", "certify a mesh's topology by exact simplicial homology"),
     "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
     "ingest": Verb("ingest", "turn raw open shells into one closed, certified surface"),
+    "solidify": Verb("solidify", "turn a trained soup into one closed, certified, coloured mesh"),
     "sweep": Verb("sweep", "run a table of training runs, resuming what is missing"),
     "measure": Verb("measure", "make a measurement that the notebooks read from results/measured"),
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 from paper_artifact.mesh import load_mesh
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.ground_truth import BACKGROUNDS
-from paper_artifact.scene.load import HOLDOUT_EVERY
+from paper_artifact.scene.holdout import EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
 
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--views",
         type=int,
         default=default.views,
-        help=f"cameras, every {HOLDOUT_EVERY}th is held out (default: %(default)s)",
+        help=f"cameras, every {EVERY}th is held out (default: %(default)s)",
     )
     parser.add_argument(
         "--size", type=int, default=default.size, help="image side in pixels (default: %(default)s)"
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     mesh = make_shape(arguments.shape) if arguments.shape is not None else load_mesh(arguments.mesh)
     folder = build_scene(mesh, config, arguments.out, progress=not arguments.quiet)
-    held_out = len(range(0, config.views, HOLDOUT_EVERY))
+    held_out = len(range(0, config.views, EVERY))
     print(
         f"{folder}: {mesh.name} ({len(mesh.faces)} triangles, diagonal {mesh.diagonal:.4g}), "
         f"{config.views} views of {config.size}×{config.size} pixels ({held_out} held out), "

@@ -151,6 +151,28 @@ def evaluate_soup(
     return {"step": int(step)} | evaluate_samples(samples, target)
 
 
+def evaluate_alone(
+    vertices: np.ndarray, opacity: np.ndarray, diagonal: float, count: int, seed: int = 0, step: int = 0
+) -> dict:
+    """Return what a soup shows without a ground truth: "step", "counts" [3], "floor", "bars" and "margins".
+
+    As `evaluate_soup`, from `count` samples, with lengths divided by `diagonal` (world units), for example
+    `frame_diagonal` of the SfM cloud. margins: per dimension the `bars`' lifetimes over the floor; a bar
+    counts where its margin exceeds 1. Raises InputError as its parts do.
+    """
+    samples = soup_samples(vertices, opacity, count, stream(seed, "evaluation samples", step))
+    diagram = diagram_of(samples, diagonal)
+    floor = measurement_floor(samples, diagonal)
+    longest = [longest_bars(bars, floor) for bars in diagram]
+    return {
+        "step": int(step),
+        "counts": list(significant_counts(diagram, floor)),
+        "floor": _rounded(floor),
+        "bars": [[[_rounded(x) for x in bar] for bar in bars] for bars in longest],
+        "margins": [[_rounded((death - birth) / floor) for birth, death in bars] for bars in longest],
+    }
+
+
 def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> float:
     """Return the mean bottleneck in `dimension` of the last dumps (2300, 2400, 2500 in the study; paper §4).
 
@@ -166,10 +188,13 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> fl
 
 def tails(dumps: Sequence[Mapping], last: int = TAIL_DUMPS) -> dict:
     """Return the last dumps' "steps", mean "bottleneck" [3], "chamfer" and "hausdorff95", and last "counts"
-    [3].
+    [3]; without a ground truth (`evaluate_alone`) the last "steps" and "counts" alone.
 
     Raises InputError for fewer than `last` dumps.
     """
+    if dumps and "bottleneck" not in dumps[-1]:
+        final = max(dumps, key=lambda dump: dump["step"])
+        return {"steps": [final["step"]], "counts": list(final["counts"])}
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
     means = {

@@ -29,6 +29,7 @@ VERSION = 2
 RUNS = RESULTS / "runs"
 REQUIRED = ("config", "config_hash", "defaults", "digest", "dumps", "host", "packages", "tails", "timings")
 DIGITS = 7
+HASH_DIGITS = 12
 ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
 LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
@@ -63,7 +64,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
 def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
     """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the
     defaults."""
-    return _hash(plain(identity(config, version)))[:12]
+    return _hash(plain(identity(config, version)))[:HASH_DIGITS]
 
 
 def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEFAULTS_VERSION) -> Path:
@@ -76,8 +77,11 @@ def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEF
 
 def recorded_path(config: RunConfig, folder: Path | str = RUNS) -> Path | None:
     """Return the path of the record of `config` that is there, under the newest version of the defaults that
-    has one, or None."""
+    has one, or None. One's own data may have been called otherwise then: their content is looked for."""
     paths = [record_path(config, folder, version) for version in range(DEFAULTS_VERSION, 0, -1)]
+    if config.given is not None and config.given.digest:
+        ends = [f"*-s{config.seed}-{path.stem[-HASH_DIGITS:]}.json" for path in paths]
+        paths += [found for end in ends for found in sorted(Path(folder).glob(end))]
     return next((path for path in paths if path.is_file()), None)
 
 

@@ -31,6 +31,7 @@ MODELS = (
     "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE",
 )
+MOST_MODELS = 64  # a number beyond is damage, one in between a model newer than this list
 PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has; the other models are not read
 FILES = ("cameras", "images", "points3D")
 
@@ -169,9 +170,7 @@ def _checked_camera(model: str, width: int, height: int, parameters: tuple[float
 
 
 def _pinhole_only(model: str, camera: int) -> None:
-    if model not in MODELS:
-        raise ValueError(f"unknown camera model {model}")
-    if model not in PARAMETERS:
+    if model not in PARAMETERS:  # the others bend rays, those that are newer than this list too
         raise InputError(
             f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), "
             f"only {' and '.join(reversed(PARAMETERS))} are read"
@@ -198,9 +197,9 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
     stream, cameras = _Bytes(data), {}
     for _ in range(stream.take("Q")[0]):
         camera, number, width, height = stream.take("iiQQ")
-        if not 0 <= number < len(MODELS):
+        if not 0 <= number < MOST_MODELS:
             raise ValueError(f"unknown camera model {number}")
-        _pinhole_only(MODELS[number], camera)
+        _pinhole_only(MODELS[number] if number < len(MODELS) else f"number {number}", camera)
         cameras[camera] = _checked_camera(
             MODELS[number], width, height, stream.take("d" * PARAMETERS[MODELS[number]])
         )
@@ -244,6 +243,8 @@ def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
     cameras = {}
     for row in _rows(data):
         camera, model, width, height, *parameters = row.split()
+        if not model.replace("_", "").isupper():
+            raise ValueError(f"unknown camera model {model}")
         _pinhole_only(model, int(camera))
         cameras[int(camera)] = _checked_camera(model, int(width), int(height), tuple(map(float, parameters)))
     return cameras
