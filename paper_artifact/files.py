@@ -22,6 +22,7 @@ from typing import Any
 from paper_artifact.errors import InputError
 
 RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
+FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
 def find_checkout(package: Path) -> Path | None:

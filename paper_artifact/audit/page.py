@@ -6,7 +6,6 @@ import base64
 import html
 import io
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,7 +13,7 @@ from paper_artifact.audit.measure import Audit
 from paper_artifact.audit.rule import NAMES
 from paper_artifact.audit.view import light_mesh
 from paper_artifact.certify.text import certificate_text
-from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.export.figures import draw_diagram, new_figure, svg
 from paper_artifact.export.triangles import mesh_triangles
 from paper_artifact.export.viewer import html_page
 from paper_artifact.topology.floor import MULTIPLIER
@@ -159,8 +158,10 @@ def _view(audit: Audit) -> str:
 
 def _image(figure: Figure, kind: str = "svg") -> str:
     data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "paper_artifact"}):
-        figure.savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    if kind == "svg":
+        data.write(svg(figure))
+    else:
+        figure.savefig(data, format=kind)
     mime = "svg+xml" if kind == "svg" else kind
     text = base64.b64encode(data.getvalue()).decode("ascii")
     return f"<p><img alt='' src='data:image/{mime};base64,{text}'></p>"

@@ -3,8 +3,10 @@ is displayed."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from itertools import cycle
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,9 +14,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import colour_of, in_order, tag_of
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import new_figure, svg
+from paper_artifact.files import FIGURES_VARIABLE, write_bytes
 
 BROKEN = ("--", ":", "-.")  # lines of a condition's changed settings, in turn
+
+
+def show(key: str, figure: Figure) -> None:
+    """Display a notebook's figure; where `run-all` executes the notebook, also write it to
+    results/book/figures/<notebook>_<key>.svg."""
+    from IPython.display import display
+
+    if start := os.environ.get(FIGURES_VARIABLE):
+        write_bytes(Path(f"{start}_{key}.svg"), svg(figure))
+    display(figure)
 
 
 def image_rows(rows: Sequence[tuple[str, Sequence[np.ndarray]]], size: float = 1.5) -> Figure:
