@@ -93,7 +93,7 @@ def _staircase_table(audit: Audit) -> str:
 
 
 def _margin_figure(audit: Audit) -> Figure:
-    figure, axes = new_figure(1, 3, 3.4, 2.4, sharex=True)
+    figure, axes = new_figure(1, 3, 3.2, 2.3, sharex=True)
     samples = sorted({rung.samples for rung in audit.rungs})
     for dimension, axis in enumerate(axes[0]):
         for rank in range(SHOWN):
@@ -108,13 +108,11 @@ def _margin_figure(audit: Audit) -> Figure:
                 centre = [(m, np.median(values)) for m, values in middle.items() if values]
                 axis.plot(*np.transpose(centre), color="#1f5fbf", linewidth=0.9, alpha=1 - 0.2 * rank)
         axis.axhline(1.0, color="black", linestyle=":", linewidth=0.8)
-        axis.set(xscale="log", title=NAMES[dimension], xlabel="M")
+        axis.set(xscale="log", title=NAMES[dimension], xlabel="samples M")
         axis.set_ylim(bottom=0)
         axis.set_xticks(samples, [str(m) for m in samples], rotation=45)
         axis.minorticks_off()
-        axis.title.set_fontsize(9)
-        axis.tick_params(labelsize=7)
-    axes[0][0].set_ylabel("lifetime / floor", fontsize=8)
+    axes[0][0].set_ylabel("lifetime / floor")
     return figure
 
 
