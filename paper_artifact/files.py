@@ -27,6 +27,7 @@ RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})  # EFBIG: the process's own limit
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
+FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
 def find_checkout(package: Path) -> Path | None:

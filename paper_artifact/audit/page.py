@@ -6,7 +6,6 @@ import base64
 import html
 import io
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,7 +13,7 @@ from paper_artifact.audit.measure import Audit
 from paper_artifact.audit.rule import NAMES
 from paper_artifact.audit.view import light_mesh
 from paper_artifact.certify.text import certificate_text
-from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.export.figures import draw_diagram, new_figure, svg
 from paper_artifact.export.triangles import mesh_triangles
 from paper_artifact.export.viewer import html_page
 from paper_artifact.topology.floor import MULTIPLIER
@@ -94,7 +93,7 @@ def _staircase_table(audit: Audit) -> str:
 
 
 def _margin_figure(audit: Audit) -> Figure:
-    figure, axes = new_figure(1, 3, 3.4, 2.4, sharex=True)
+    figure, axes = new_figure(1, 3, 3.2, 2.3, sharex=True)
     samples = sorted({rung.samples for rung in audit.rungs})
     for dimension, axis in enumerate(axes[0]):
         for rank in range(SHOWN):
@@ -109,13 +108,11 @@ def _margin_figure(audit: Audit) -> Figure:
                 centre = [(m, np.median(values)) for m, values in middle.items() if values]
                 axis.plot(*np.transpose(centre), color="#1f5fbf", linewidth=0.9, alpha=1 - 0.2 * rank)
         axis.axhline(1.0, color="black", linestyle=":", linewidth=0.8)
-        axis.set(xscale="log", title=NAMES[dimension], xlabel="M")
+        axis.set(xscale="log", title=NAMES[dimension], xlabel="samples M")
         axis.set_ylim(bottom=0)
         axis.set_xticks(samples, [str(m) for m in samples], rotation=45)
         axis.minorticks_off()
-        axis.title.set_fontsize(9)
-        axis.tick_params(labelsize=7)
-    axes[0][0].set_ylabel("lifetime / floor", fontsize=8)
+    axes[0][0].set_ylabel("lifetime / floor")
     return figure
 
 
@@ -159,8 +156,10 @@ def _view(audit: Audit) -> str:
 
 def _image(figure: Figure, kind: str = "svg") -> str:
     data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "paper_artifact"}):
-        figure.savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    if kind == "svg":
+        data.write(svg(figure))
+    else:
+        figure.savefig(data, format=kind)
     mime = "svg+xml" if kind == "svg" else kind
     text = base64.b64encode(data.getvalue()).decode("ascii")
     return f"<p><img alt='' src='data:image/{mime};base64,{text}'></p>"
