@@ -22,7 +22,9 @@ DEFAULTS_VERSION = 1
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
 KINDS = ("topology", "repulsion", "betti")
-SUPPRESS = ("floor", "all")
+SUPPRESS = ("floor", "all", "none")
+AIMS = ("deaths", "smoothed", "births", "none")
+BACKGROUNDS = ("white", "black", "texture")
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 CENTRES = ("topological", "random")
 LEVERS = ("resampling", "start")
@@ -63,12 +65,18 @@ class LossConfig:
     # Of the kind "betti" alone.
     betti: tuple[int, ...] | None = None  # b0, b1, b2 as the samples show them: components, loops, voids
     guard: float = 0.5  # a bar shorter than this fraction of the live floor is not taken for a wanted one
-    suppress: str = "floor"  # pushed to the diagonal: "floor" what exceeds the live floor; "all" in H1 and H2
+    # pushed to the diagonal beyond the wanted bars: "floor" what exceeds the live floor; "all" in H1 and H2;
+    # "none" nothing
+    suppress: str = "floor"
+    # what wanted bars are pulled to: "deaths" beyond their own by `pull`; "smoothed" to no less than those of
+    # the smoothed cloud; "births" to what a clean sample has; "none" not at all
+    aim: str = "deaths"
     pull: float = 2.0  # how far beyond a wanted bar's death its target lies, in live median spacings
 
     def __post_init__(self) -> None:
         _one_of("loss kind", self.kind, KINDS)
         _one_of("suppress rule", self.suppress, SUPPRESS)
+        _one_of("aim", self.aim, AIMS)
         _one_of("floor_source", self.floor_source, FLOOR_SOURCES)
         _one_of("Gabriel fallback", self.fallback, FALLBACKS)
         _one_of("persistence method", self.method, METHODS)
@@ -123,18 +131,43 @@ class AllocationConfig:
             _at_least(self, name, least)
 
 
+# What a run's scene may suffer, and the value that each must stay below.
+NOISES = {
+    "image_noise": 1.0,
+    "camera_noise": 0.5,
+    "cloud_noise": 0.5,
+    "cloud_outliers": 1.0,
+    "cloud_missing": 0.9,
+}
+
+
+@dataclass(frozen=True)
+class GivenConfig:
+    """One's own mesh or scene, by content: `scene.given.resolve` puts digests in the place of paths."""
+
+    digest: str = ""  # sha256 (hex) of the mesh's geometry or the scene's files; "" before they were read
+    target: str | None = None  # of a scene: mesh or bundle.json; in a record the sha256 of its content
+    downscale: float = 1.0  # of a scene: every photograph is made smaller by this factor
+    background: str | None = None  # of a scene: see `scene.load.load_scene`; None: its own, else white
+    holdout: str | None = None  # of a scene: see `scene.holdout.held_out`; None: the scene's own rule
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.downscale < math.inf:
+            raise InputError(f"downscale must be at least 1 (2 halves the width), got {self.downscale}")
+
+
 @dataclass(frozen=True)
 class RunConfig:
     """One training run. Raises InputError for a value out of range."""
 
-    shape: str  # an analytic shape, the key of an external mesh, or a mesh file
+    shape: str  # an analytic shape, the key of an external mesh, a mesh file or a scene's folder
     condition: str = "C0"  # a tag of `paper_artifact.catalogue`; what it means stands in `loss`
     seed: int = 0  # of everything random
     steps: int = STEPS_OF_THE_STUDY
     budget: int = 1200  # N: triangles kept by pruning
     views: int = 48  # rendered around the mesh, every 8th held out
     size: int = 200  # of a view, pixels
-    background: str = "white"  # or "black"
+    background: str = "white"  # "black", or "texture": a patterned surrounding, infinitely far away
     batch: int = 4  # views per step
     vertex_lr: float = 1e-2  # learning rate of the vertices, per unit of scene radius (world units)
     feature_lr: float = 5e-2  # of the feature logits
@@ -147,8 +180,16 @@ class RunConfig:
     split_height: float = 0.2  # an edge longer than this fraction of the image height is split
     dump_steps: tuple[int, ...] = DUMP_STEPS  # that are evaluated, after their resampling
     samples: int = 20_000  # surface samples of an evaluation
+    # What a scene of photographs does to training views and start (`paper_artifact.scene.perturb`); held-out
+    # views and the truth of the evaluation stay clean. D is the mesh's diagonal.
+    image_noise: float = 0.0  # standard deviation per pixel and channel, colours in [0,1]
+    camera_noise: float = 0.0  # standard deviation per axis of a camera's centre, / D
+    cloud_noise: float = 0.0  # standard deviation per axis of a point of the SfM cloud, / D
+    cloud_outliers: float = 0.0  # share of the cloud's points that lie anywhere
+    cloud_missing: float = 0.0  # share of the cloud's points that is cut out, in three places
     loss: LossConfig | None = None  # None: photometric loss only (C0)
     allocation: AllocationConfig | None = None  # None: DiffSoup's own resampling
+    given: GivenConfig | None = None  # one's own mesh or scene; None: a shape of the study
 
     def __post_init__(self) -> None:
         lowest = {
@@ -178,7 +219,10 @@ class RunConfig:
             "split_height",
         ):
             _positive(self, name)
-        _one_of("background", self.background, ("white", "black"))
+        _one_of("background", self.background, BACKGROUNDS)
+        for name, beyond in NOISES.items():
+            if not 0 <= getattr(self, name) < beyond:
+                raise InputError(f"{name} must be at least 0 and below {beyond:g}, got {getattr(self, name)}")
         whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
         if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
@@ -191,9 +235,10 @@ class RunConfig:
             )
 
 
-Config = TypeVar("Config", LossConfig, AllocationConfig, RunConfig)
+Config = TypeVar("Config", LossConfig, AllocationConfig, GivenConfig, RunConfig)
+Part = LossConfig | AllocationConfig | GivenConfig
 # fields of a RunConfig that are configurations themselves
-PARTS = {"loss": LossConfig, "allocation": AllocationConfig}
+PARTS: dict[str, Any] = {"loss": LossConfig, "allocation": AllocationConfig, "given": GivenConfig}
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -224,7 +269,7 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     return parsed
 
 
-def config_values(config: LossConfig | AllocationConfig | RunConfig) -> dict[str, Any]:
+def config_values(config: Part | RunConfig) -> dict[str, Any]:
     """Return the configuration as a nested dict of all its fields, tuples kept."""
     values = {field.name: getattr(config, field.name) for field in fields(config)}
     return {
@@ -240,8 +285,10 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
     A field that is not there has the default it had in `version`. Raises InputError for an unknown field or
     version.
     """
-    given = dict(values)
-    parts = {name: given.pop(name, None) for name in PARTS}
+    given = dict(values) if isinstance(values, Mapping) else None
+    parts = {name: given.pop(name, None) for name in PARTS} if given is not None else {}
+    if given is None or not all(part is None or isinstance(part, Mapping) for part in parts.values()):
+        raise InputError(f"a configuration is settings by name, and so is its loss, got {values!r:.60}")
     run = with_changes(RunConfig(given.pop("shape", "")), {**_former(version, ""), **given})
     made = {
         name: with_changes(PARTS[name](), {**_former(version, f"{name}."), **part})
@@ -253,9 +300,11 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
 
 def identity(config: RunConfig, version: int = DEFAULTS_VERSION) -> dict[str, Any]:
     """Return what names a run: version, shape, condition, seed and the fields that differ from that version's
-    defaults."""
+    defaults; one's own data by their content, not by what they are called."""
     named = {name: getattr(config, name) for name in ("shape", "condition", "seed")}
     values = {"defaults": version} | _differing(config, config_from({"shape": ""}, version)) | named
+    if config.given is not None and config.given.digest:
+        del values["shape"]
     for name, kind in PARTS.items():
         values.pop(name, None)
         if (part := getattr(config, name)) is not None:
@@ -271,7 +320,7 @@ def _differing(config: Config, base: Config) -> dict[str, Any]:
 def _former(version: int, prefix: str) -> dict[str, Any]:
     """Return the defaults of `version` that have changed since, of the fields whose names begin with
     `prefix`."""
-    if not 1 <= version <= DEFAULTS_VERSION:
+    if not isinstance(version, int) or not 1 <= version <= DEFAULTS_VERSION:
         raise InputError(
             f"the defaults' version {version} is unknown to this code, which knows 1 to {DEFAULTS_VERSION}"
         )
@@ -305,14 +354,12 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
     }
     if kind in (int, float, bool, str):
         good = fits[kind.__name__]
+    elif text == "str | None":
+        good = value is None or isinstance(value, str)
     elif "tuple" in text:
         item = float if "tuple[float" in text else int
-        good = (
-            value is None
-            and "None" in text
-            or isinstance(value, tuple)
-            and all(type(x) is item for x in value)
-        )
+        whole = isinstance(value, tuple) and all(type(x) is item for x in value)
+        good = whole or (value is None and "None" in text)
     else:
         good = value is None or isinstance(value, tuple(PARTS.values()))
     if not good:

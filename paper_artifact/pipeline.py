@@ -7,27 +7,37 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from paper_artifact.config import AllocationConfig, RunConfig
+from paper_artifact.config import NOISES, AllocationConfig, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.image import image_scores
-from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_soup, make_target, tails
-from paper_artifact.files import RESULTS
+from paper_artifact.evaluate.image import view_scores
+from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_alone, evaluate_soup, make_target, tails
+from paper_artifact.files import OWN, RESULTS, write_failure
+from paper_artifact.frame import SAME
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
-from paper_artifact.record.store import make_record, read_record, record_path, recorded_path, write_record
+from paper_artifact.record.store import (
+    config_hash,
+    make_record,
+    read_record,
+    record_path,
+    recorded_path,
+    write_record,
+)
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.given import is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.perturb import Perturbation
 from paper_artifact.soup.allocation import allocating_resampler
-from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
+from paper_artifact.topology.statement import frame_diagonal
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 
@@ -36,6 +46,7 @@ if TYPE_CHECKING:
     from paper_artifact.topology.importance import ImportanceField
     from paper_artifact.topology.term import TopologyTerm
 
+LEAST_SIDE = 22  # pixels: the SSIM window is 11, resampling works at half size
 DENSE = 20_000  # points of the target surface that hold an importance field
 
 
@@ -44,16 +55,22 @@ def make_run_term(
     mesh: Mesh | None,
     points: np.ndarray | None = None,
     *,
+    bundle: Bundle | None = None,
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
 ) -> tuple[TopologyTerm | None, Bundle | None]:
     """Return (loss term, target bundle) of a configuration; (None, None), without any import, for no loss.
 
-    A loss in words has no bundle and needs no mesh, but the SfM cloud's `points` (P,3), world units. strict,
-    tell: see `TopologyTerm`. Raises InputError for a bundle without a bar, or a cloud too small or flat.
+    bundle: a target that is there already, instead of the mesh. A loss in words has no bundle and needs no
+    mesh, but the SfM cloud's `points` (P,3), world units. strict, tell: see `TopologyTerm`. Raises
+    InputError for a bundle without a bar, or a cloud too small or flat.
     """
     if config.loss is None:
         return None, None
+    if bundle is not None:
+        from paper_artifact.topology.term import TopologyTerm
+
+        return TopologyTerm(config.loss, bundle, config.steps, config.seed), bundle
     from paper_artifact.topology.term import TopologyTerm
 
     loss = config.loss
@@ -96,7 +113,7 @@ def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: M
 
 
 def make_run_allocation(
-    config: RunConfig, mesh: Mesh, points: np.ndarray
+    config: RunConfig, mesh: Mesh | None, points: np.ndarray
 ) -> tuple[Resampler | None, np.ndarray | None]:
     """Return what an allocation gives to the trainer: a resampler, or the importance of the scene's points
     (n,3).
@@ -106,6 +123,7 @@ def make_run_allocation(
     allocation = config.allocation
     if allocation is None:
         return None, None
+    assert mesh is not None
     importance = make_run_importance(config, allocation, mesh)
     if allocation.levers == "start":
         return None, importance(points)
@@ -114,15 +132,49 @@ def make_run_allocation(
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     """Build the run's scene under `root`, or take the one that is there, and load it. Seeds share a scene."""
-    scene_config = SceneConfig(views=config.views, size=config.size, background=config.background)
+    perturbation = Perturbation(**{name: getattr(config, name) for name in NOISES})
+    scene_config = SceneConfig(
+        views=config.views, size=config.size, background=config.background, perturbation=perturbation
+    )
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
+
+
+def given_scene(config: RunConfig, folder: Path) -> Scene:
+    """Return the scene in `folder` as a run sees it. Raises InputError for photographs that are too small."""
+    given = config.given or GivenConfig()
+    scene = load_scene(folder, downscale=given.downscale, background=given.background, holdout=given.holdout)
+    height, width = scene.images.shape[2:]
+    if min(height, width) < LEAST_SIDE:
+        raise InputError(
+            f"the images of {folder} are {width}×{height} pixels, at least {LEAST_SIDE} a side are needed; "
+            "give a smaller --downscale"
+        )
+    return scene
+
+
+def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]:
+    """Return what a user should know before a run on a scene that was given, a sentence each."""
+    found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
+    if wanted > count:
+        found.append(
+            f"the run would start from {wanted} triangles ({config.initial_ratio:g} times the budget of "
+            f"{config.budget}), but the SfM cloud has {count} points: it starts from {count}"
+        )
+    if bundle is not None:
+        ratio = scene.frame.length(bundle.diagonal) / frame_diagonal(scene.points)
+        if not 0.5 <= ratio <= 2:
+            found.append(
+                f"the target's diagonal is {ratio:.3g} times the SfM cloud's: bring both to one unit of "
+                "length, or its bars are compared with others"
+            )
+    return found
 
 
 def run(
     config: RunConfig,
     *,
     mesh: Mesh | None = None,
-    results: Path = RESULTS,
+    results: Path | None = None,
     progress: Callable[[int, str], None] | None = None,
     device: str = "auto",
     again: bool = False,
@@ -131,35 +183,58 @@ def run(
 ) -> dict:
     """Return the record of one configuration: train, evaluate, write record and soup, or read what is there.
 
-    results: folder that gets runs/ (the record), soups/, scenes/, targets/ and checkpoints/. again: run even
-    if recorded. tell: called with each remark of a loss in words; strict: what contradicts its words is an
-    InputError. Raises InputError for bad input or a folder that is not writable, before any training.
+    config.shape: a shape of the study, a mesh file or a scene's folder; the record has the content's digest
+    in the place of a path (`scene.given.resolve`). results: folder that gets runs/ (the record), soups/,
+    scenes/, targets/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
+    each remark of a loss in words and of a scene; strict: what contradicts the words is an InputError. Raises
+    InputError for bad input or a folder that is not writable, before any training.
     """
     check_device(device)
-    mesh = mesh if mesh is not None else find_mesh(config.shape)
+    given = resolve(config, mesh)
+    config, mesh = given.config, given.mesh
+    results = results if results is not None else results_of(config)
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
-        return _matching(read_record(recorded), recorded, config, mesh)
+        return read_record(recorded)
     in_words = config.loss is not None and config.loss.kind == "betti"
+    term, bundle = None, given.bundle
     if not in_words:  # before the scene: a loss without a target is told at once
-        term, bundle = make_run_term(config, mesh)
+        term, bundle = make_run_term(config, mesh, bundle=bundle)
     path = record_path(config, results / "runs")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
-        ) from error
-    scene = prepare_scene(config, mesh, results / "scenes")
+        raise write_failure(f"results to {results}", error) from error
+    if given.folder is not None and config.given is not None:
+        scene = given_scene(config, given.folder)
+        if tell is not None:
+            for remark in remarks(config, scene, bundle):
+                tell(remark)
+    else:
+        assert mesh is not None
+        scene = prepare_scene(config, mesh, results / "scenes")
     if in_words:  # from the scene: the mesh is for the evaluation alone
         term, bundle = make_run_term(config, None, scene.points, strict=strict, tell=tell)
-    target = make_target(mesh, config.samples, cache=results / "targets")
+    frame, truth = scene.frame, mesh
+    if frame != SAME:
+        mesh = None if mesh is None else mesh.framed(frame)
+        if bundle is not None:
+            bundle = replace(bundle, diagonal=frame.length(bundle.diagonal))
+            term, _ = make_run_term(config, None, bundle=bundle)
+    target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
     resampler, importance = make_run_allocation(config, mesh, scene.points)
-    checkpoint = results / "checkpoints" / f"{path.stem}-{mesh_hash(mesh)[:8]}.pt"
+    source = mesh_hash(truth) if given.folder is None and truth is not None else config_hash(config)
+    checkpoint = results / "checkpoints" / f"{path.stem}-{source[:8]}.pt"
     cpu = time.process_time()
 
     def evaluate(soup: Soup, step: int) -> dict:
         corners, opacity = soup.vertices.detach().numpy(), soup.corner_opacity()
-        return evaluate_soup(corners, opacity, target, config.seed, step) | {"triangles": len(soup)}
+        if target is None:
+            seen = evaluate_alone(
+                corners, opacity, frame_diagonal(scene.points), config.samples, config.seed, step
+            )
+        else:
+            seen = evaluate_soup(corners, opacity, target, config.seed, step)
+        return seen | {"triangles": len(soup)}
 
     state = train(
         scene,
@@ -172,42 +247,64 @@ def run(
         resampler=resampler,
         importance=importance,
     )
-    holdout = image_scores(render_views(state.soup, scene, scene.holdout), scene.colours(scene.holdout))
     sections: dict[str, Any] = {
-        "images": {
-            "psnr": round(holdout["psnr"], 4),
-            "ssim": round(holdout["ssim"], 6),
-            "holdout_views": len(scene.holdout),
-        },
+        "images": holdout_section(state.soup, scene),
         "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
-        "mesh": {
-            "name": mesh.name,
-            "sha256": mesh_hash(mesh),
-            "diagonal": mesh.diagonal,
-            "betti": mesh.betti,
-            "dimension": target.dimension,
-            "floor": target.floor,
-        },
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
     }
+    if truth is not None and target is not None:
+        sections["mesh"] = {
+            "name": truth.name,
+            "sha256": mesh_hash(truth),
+            "diagonal": truth.diagonal,
+            "betti": truth.betti,
+            "dimension": target.dimension,
+            "floor": target.floor,
+        }
+    if given.folder is not None:
+        sections["scene"] = scene_section(scene)
+    if frame != SAME:
+        sections["frame"] = frame.to_json()
     if term is not None:
         name = "statement" if bundle is None else "bundle"
         sections |= {"topology": term.log, name: term.target.to_json()}
     losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
-    save_soup(results / "soups" / f"{path.stem}.npz", state.soup)
+    save_soup(results / "soups" / f"{path.stem}.npz", state.soup, frame)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
     return record
 
 
-def _matching(record: dict, path: Path, config: RunConfig, mesh: Mesh) -> dict:
-    """Return the record. Raises InputError when it is of another mesh (a config holds a path)."""
-    # Analytic shapes may differ in the last bit between machines, so only files are compared.
-    if Path(config.shape).is_file() and record.get("mesh", {}).get("sha256") != mesh_hash(mesh):
-        raise InputError(
-            f"the record {path} is of another mesh than {config.shape} is now; run with --again to replace it"
-        )
-    return record
+def results_of(config: RunConfig) -> Path:
+    """Return the folder that a run's results go to where none is named: results/ for the study, its
+    git-ignored results/own/ for one's own data, which nobody means to publish with the study's records."""
+    return OWN if is_own(config) else RESULTS
+
+
+def holdout_section(soup: Soup, scene: Scene) -> dict:
+    """Return the record's section of the held-out views, or {"holdout_views": 0} where there are none."""
+    if not len(scene.holdout):
+        return {"holdout_views": 0}
+    scores = view_scores(soup, scene, scene.holdout)
+    return {
+        "psnr": round(scores["psnr"], 4),
+        "ssim": round(scores["ssim"], 6),
+        "holdout_views": len(scene.holdout),
+    }
+
+
+def scene_section(scene: Scene) -> dict:
+    """Return what a record says of a scene that was given."""
+    height, width = scene.images.shape[2:]
+    return {
+        "views": len(scene.names),
+        "holdout": [scene.names[view] for view in scene.holdout],
+        "size": [width, height],
+        "points": len(scene.points),
+        "radius": scene.radius,
+        "diagonal": frame_diagonal(scene.points),
+        "background": scene.background,
+    }

@@ -14,11 +14,11 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.mesh import load_mesh, mesh_hash
+from paper_artifact.mesh import mesh_hash
 from paper_artifact.pipeline import run
-from paper_artifact.record.store import make_record, record_path, write_record
+from paper_artifact.record.store import make_record, write_record
 from paper_artifact.scene.shapes import make_shape
-from tests.tiny_run import TINY, tiny_arguments, tiny_config
+from tests.tiny_run import tiny_arguments, tiny_config
 
 
 @pytest.fixture
@@ -151,14 +151,14 @@ def test_numbers_out_of_range(arguments, words, refused, tmp_path):
 )
 def test_loss_settings_are_refused_before_anything_is_made(setting, words, refused, tmp_path, monkeypatch):
     """Unknown names and values out of range: neither mesh nor scene is looked at, let alone built."""
-    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)  # calling it would fail
+    monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)  # calling it would fail
     options = ["--quiet", "--condition", "C1", "--results", tmp_path / "results"]
     refused(["train", "sphere", *options, "--loss", setting], words)
 
 
 def test_a_loss_that_has_nothing_to_act_on(refused, tmp_path):
     arguments = [*tiny_arguments(), "--results", tmp_path / "results"]
-    refused([*arguments, "--loss=rho=0.2"], "condition C0 adds no loss, so it takes no loss settings (rho)")
+    refused([*arguments, "--loss=rho=0.2"], "condition C0 has no loss, so it takes no loss settings (rho)")
     refused([*arguments, "--condition=C1", "--loss=dimensions=0"], "no significant bar in dimension 0")
 
 
@@ -289,19 +289,6 @@ def test_a_checkpoint_cut_in_half(refused, tiny_results, tmp_path):
     refused(
         [*tiny_arguments(), "--results", results], str(path), "is damaged", "delete it to start the run anew"
     )
-
-
-def test_a_mesh_file_that_changed_since_its_record(refused, tmp_path):
-    file = tmp_path / "ball.ply"
-    arguments = ["train", str(file), *tiny_arguments()[2:], "--results", str(tmp_path / "results")]
-    trimesh.creation.icosphere(subdivisions=2).export(file)
-    from paper_artifact.catalogue import study_config
-
-    config = study_config(str(file), **TINY)
-    path = recorded(tmp_path / "results", config, load_mesh(file))
-    assert path == record_path(config, tmp_path / "results" / "runs") and cli.main(arguments) == 0
-    trimesh.creation.icosphere(subdivisions=2, radius=2.0).export(file)
-    refused(arguments, str(path), "of another mesh", "--again")
 
 
 def test_a_scene_a_soup_and_a_target_that_are_not_there(refused, tmp_path):

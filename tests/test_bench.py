@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
+import threading
 
 import pytest
 
 from paper_artifact import cli, kernel_cache
-from paper_artifact.bench import compilation, raster, speed, topology
+from paper_artifact.bench import compilation, gpu, raster, speed, topology
 from paper_artifact.bench.child import run_child
 from paper_artifact.bench.reach import large_row, photographs_row
 from paper_artifact.bench.run import run_row
@@ -226,3 +228,28 @@ def test_the_verb_prints_rows(own_threads, monkeypatch, capsys):
     assert "not compiled here: left" in printed
     assert "compilation alone, first less second: 25.0 s of CPU" in printed
     assert "M = 1000000: CPU 20.0 s, wall 21.0 s, peak memory 3500 MiB" in printed
+
+
+def test_gpu_memory_is_read_while_the_run_goes_on(monkeypatch, tmp_path, capsys):
+    readings = iter([100, 150, 400, *[120] * 100])
+    asked = threading.Event()
+
+    def read():
+        value = next(readings)
+        if value == 400:
+            asked.set()
+        return value
+
+    monkeypatch.setattr(gpu, "INTERVAL", 0.001)
+    row = gpu.peak_during(lambda: {"allocated_mib": 7.0 if asked.wait(60) else 0.0}, read)
+    assert row == {"allocated_mib": 7.0, "before_mib": 100, "peak_mib": 400}
+    monkeypatch.setattr(gpu, "ASK", (str(tmp_path / "no-nvidia-smi"),))
+    with pytest.raises(InputError, match="needs an NVIDIA GPU"):
+        gpu.used_mib()
+    assert not gpu.gpu_is_here()
+    bench_parts.print_gpu(tmp_path, argparse.Namespace(steps=3, quiet=True))
+    assert "not measured, no NVIDIA GPU" in capsys.readouterr().out
+    # Where there is one: the whole protocol with a few steps.
+    monkeypatch.undo()
+    if gpu.gpu_is_here():
+        assert gpu.memory_row("C0", tmp_path, 3)["allocated_mib"] > 0

@@ -189,7 +189,7 @@ def test_the_verb_prints_our_row_and_how_to_install_the_others(absent, own_threa
 
 
 def test_peers_are_a_default_part_only_where_one_is_installed(absent, monkeypatch):
-    assert bench._default_parts() == ("raster", "run", "compile", "reach", "persistence", "loss")
+    assert bench._default_parts() == ("raster", "run", "compile", "reach", "persistence", "loss", "gpu")
     monkeypatch.setattr(peers, "installed", lambda peer: peer.name == "oineus.diff")
     assert bench._default_parts() == bench.PARTS
 

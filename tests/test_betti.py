@@ -20,7 +20,7 @@ from paper_artifact.topology.density import choose_density
 from paper_artifact.topology.floor import measurement_floor
 from paper_artifact.topology.pulls import DIAGONAL, NONE
 from paper_artifact.topology.schedule import LEAST_RATIO, peak_weight
-from paper_artifact.topology.statement import Statement, contradictions, frame_diagonal
+from paper_artifact.topology.statement import Statement, contradictions, frame_diagonal, unseen
 from paper_artifact.topology.term import TopologyTerm
 
 T2 = {"guard": 0.0, "suppress": "all"}
@@ -177,28 +177,30 @@ def test_settings_out_of_range_are_refused(settings, words):
 # --- the statement against what the images show
 
 
-def said(shape: str, betti: tuple[int, ...], samples: int = 2048, **settings) -> list[str]:
+def said(shape: str, betti: tuple[int, ...], samples: int = 2048, **settings) -> tuple[list[str], list[str]]:
+    """Return (what contradicts the words, what does not show yet)."""
     points = cloud_of(shape, samples)
     loss = BettiLoss(betti, **settings)
     report = loss.refresh(points).report
-    return contradictions(Statement(betti, 1.0), report, loss.config)
+    statement = Statement(betti, 1.0)
+    return contradictions(statement, report), unseen(statement, report, loss.config)
 
 
 @pytest.mark.parametrize("settings", [{}, T2])
 def test_the_audit_says_what_contradicts_the_words(settings):
-    assert said("sphere", (1, 0, 1), **settings) == []
-    assert said("torus", (1, 2, 1), **settings) == []
-    (void,) = said("sphere", (1, 0, 0), **settings)
+    assert said("sphere", (1, 0, 1), **settings) == ([], [])
+    assert said("torus", (1, 2, 1), **settings) == ([], [])
+    (void,), _ = said("sphere", (1, 0, 0), **settings)
     assert void.startswith("you said no void; the images show 1 void (the longest has ")
-    (loops,) = said("sphere", (1, 2, 1), **settings)
+    _, (loops,) = said("sphere", (1, 2, 1), **settings)
     assert loops.startswith("you said 2 loops; none so far: the next candidate has 0.")
-    (loop,) = said("torus", (1, 3, 1), **settings)
+    _, (loop,) = said("torus", (1, 3, 1), **settings)
     assert loop.startswith("you said 3 loops; 2 so far: the next candidate has 0.") and "below 0.5" in loop
-    (surplus,) = said("torus", (1, 0, 1), **settings)
+    (surplus,), _ = said("torus", (1, 0, 1), **settings)
     assert surplus.startswith("you said no loop; the images show ")
-    (second,) = said("sphere", (2, 0, 1), **settings)
+    _, (second,) = said("sphere", (2, 0, 1), **settings)
     assert second.startswith("you said 2 components; 1 so far: the next candidate has 0.")
-    (component,) = said("two_spheres", (1, 0, 2), **settings)
+    (component,), _ = said("two_spheres", (1, 0, 2), **settings)
     assert component.startswith("you said 1 component; the images show 1 component more")
 
 
@@ -223,6 +225,8 @@ def test_a_term_audits_its_words_once_before_any_gradient():
     with pytest.raises(InputError, match="at step 22 the images contradict the words: you said no"):
         words_of((1, 0, 0), strict=True).refresh_if_due(22, soup, None)
     words_of((1, 0, 1), strict=True).refresh_if_due(22, soup, None)
+    words_of((1, 1, 1), strict=True, tell=told.append).refresh_if_due(22, soup, None)
+    assert told[-1].startswith("step 22: you said 1 loop; none so far")
 
 
 def test_a_target_of_another_kind_is_refused():

@@ -8,20 +8,26 @@ import base64
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.export.images import sheet, write_png
 from paper_artifact.export.models import srgb_to_linear, write_glb, write_ply
 from paper_artifact.export.triangles import Triangles, mesh_triangles, soup_triangles
 from paper_artifact.export.viewer import html_page, write_html
+from paper_artifact.export.viewpoint import scene_viewpoint, shape_viewpoint
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
+from paper_artifact.scene.cameras import look_at, world_to_clip
+from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup, initial_mlp
 
 
@@ -148,3 +154,64 @@ def test_png_round_trip_and_sheet(tmp_path):
             write_png(tmp_path / "bad.png", bad)
     with pytest.raises(InputError, match="one shape"):
         sheet([[image, image[1:]]])
+
+
+def clip_matrices(cameras):
+    return np.stack([world_to_clip(camera, 0.01, 100) for camera in cameras]).astype(np.float32)
+
+
+def made_scene(cameras, points) -> Scene:
+    count = len(cameras)
+    return Scene(
+        path=Path(),
+        names=tuple(map(str, range(count))),
+        images=np.zeros((count, 3, 4, 4), dtype=np.uint8),
+        world_to_clip=clip_matrices(cameras),
+        camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
+        background=np.ones(3, dtype=np.float32),
+        points=np.asarray(points, dtype=np.float32),
+        train=np.arange(1, count),
+        holdout=np.arange(1),
+    )
+
+
+def test_a_scene_is_seen_from_its_first_training_camera_upright():
+    # Turned so that "down" is world +y, as COLMAP's scenes are: the cameras' own axes say what is up.
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # z up → y down
+    cameras = [look_at(np.array(place), np.zeros(3), 40) for place in ((3, 0, 1), (0, 4, 1.0), (-3, 1, 1))]
+    turned = [
+        replace(
+            camera,
+            quaternion=tuple(Rotation.from_matrix(camera.rotation @ turn.T).as_quat(scalar_first=True)),
+        )
+        for camera in cameras
+    ]
+    cloud = stream(3, "test export").normal(size=(200, 3)) * 0.1
+    for views, up, first in ((cameras, [0, 0, 1], [0, 4, 1]), (turned, [0, -1, 0], [0, -1, 4])):
+        seen = scene_viewpoint(made_scene(views, cloud))
+        np.testing.assert_allclose(seen.up, up, atol=0.35)  # the mean of three tilted cameras
+        np.testing.assert_allclose(seen.eye, first, atol=1e-5)
+        np.testing.assert_allclose(seen.target, [0, 0, 0], atol=0.1)
+
+
+def test_a_cloud_behind_the_camera_and_one_camera_looking_down_give_a_viewpoint_all_the_same():
+    camera = look_at(np.array([0.0, 1e-6, 3.0]), np.zeros(3), 40)
+    seen = scene_viewpoint(made_scene([camera, camera], np.full((4, 3), 9.0)))
+    assert np.isfinite([*seen.eye, *seen.target, *seen.up]).all()
+    assert np.linalg.norm(np.cross(seen.up, np.subtract(seen.target, seen.eye))) > 0.1
+
+
+def test_the_view_opens_where_it_is_told():
+    triangles = random_triangles()
+    points = triangles.vertices.reshape(-1, 3)
+    row = shape_row("spot")
+
+    def data(viewpoint):
+        page = html_page({"soup": triangles}, "t", viewpoint)
+        return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.S).group(1))
+
+    plain, shape = data(None), data(shape_viewpoint(row, points))
+    assert plain["up"] == [0, 0, 1] and shape["up"] == list(row.up)
+    away = np.subtract(shape["eye"], shape["target"])
+    np.testing.assert_allclose(away / np.linalg.norm(away), row.view / np.linalg.norm(row.view), atol=1e-6)
+    assert '<input type="checkbox" id="light" checked>' in html_page({"soup": triangles}, "t")

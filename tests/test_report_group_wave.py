@@ -137,7 +137,8 @@ def test_the_plan_is_the_catalogue_s_and_the_study_s():
             row = shape_row(name)
             own = {"samples": row.samples, "bundle_seed": row.bundle_seed, "budget": row.budget}
             assert facts == own | {"dimensions": None if row.dimensions is None else list(row.dimensions)}
-    shapes, conditions, seeds = STUDIES["table2"][0]
+    block = STUDIES["table2"][0]
+    shapes, conditions, seeds = block.shapes, block.conditions, block.seeds
     assert set(shapes) == {name for members in plan["members"].values() for name in members}
     runs, config = plan["runs"], study_config("horse", "C1")
     assert (runs["conditions"], runs["seeds"]) == (list(conditions), list(seeds))

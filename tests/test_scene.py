@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +39,9 @@ def damaged(torus_scene, tmp_path):
             copy = tmp_path / "copy" / file.relative_to(torus_scene)
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(file.read_bytes())
+    described = json.loads((tmp_path / "copy" / "scene.json").read_text())
+    del described["files"]  # as an older version built it: a change is seen by what it breaks alone
+    (tmp_path / "copy" / "scene.json").write_text(json.dumps(described))
     return tmp_path / "copy"
 
 
@@ -214,6 +219,28 @@ def test_a_damaged_ground_truth_and_a_missing_folder_are_refused(damaged, tmp_pa
         load_scene(tmp_path / "absent")
 
 
+@pytest.mark.parametrize("name", ["sparse/0/points3D.bin", "images/view_003.png", "ground_truth.npz"])
+def test_one_flipped_bit_of_a_built_scene_is_refused(torus_scene, tmp_path, name):
+    shutil.copytree(torus_scene, tmp_path / "flipped")
+    file = tmp_path / "flipped" / name
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=f"{name} is not as it was built"):
+        load_scene(tmp_path / "flipped")
+
+
+def test_what_killed_builds_left_is_cleared_when_it_is_old(tmp_path):
+    made, foreign = tmp_path / "scene", tmp_path / ".other-abc.partial"
+    old, young = (tmp_path / f".scene-{name}.partial" for name in ("old", "young"))
+    for folder in (old, young, foreign):
+        (folder / "images").mkdir(parents=True)
+    for path in (old / "images", old):
+        os.utime(path, (time.time() - 7200,) * 2)
+    build_scene(make_shape("cube"), replace(SMALL, views=2), made)
+    assert not old.exists() and young.exists() and foreign.exists() and (made / "scene.json").is_file()
+
+
 def arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quiet", action="store_true")
@@ -259,7 +286,7 @@ def test_npz_files_are_read_whole_or_refused(tmp_path):
         path.write_bytes(damaged)
         with pytest.raises(ValueError):
             load_npz(path)
-    with pytest.raises(ValueError, match="allow_pickle"):
+    with pytest.raises(ValueError, match="pickled objects"):
         load_npz(tmp_path / "pickle.npz")
     with pytest.raises(OSError):
         load_npz(tmp_path / "none.npz")

@@ -32,7 +32,7 @@ def test_a_scene_without_its_mesh_is_trained(samples, results, monkeypatch):
     """No ground truth: its file is gone, and so is everything that could make a mesh or a bundle."""
     (folder,) = (results / "scenes").iterdir()
     (folder / "ground_truth.npz").unlink()
-    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)
+    monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)
     monkeypatch.setattr("paper_artifact.scene.find.find_mesh", None)
     monkeypatch.setattr("paper_artifact.topology.bundle.build_from_mesh", None)
     scene = load_scene(folder)
@@ -79,12 +79,12 @@ def test_the_command_line_trains_in_words_and_records_them(results, capsys):
         (["sphere", "--condition=T1", "--betti=1,0,1", "--loss=betti=1,0,1"], "are one setting"),
         (["sphere", "--condition=C1", "--betti=1,0,1"], "belongs to the loss kind 'betti'"),
         (["sphere", "--condition=C1", "--loss=samples=auto"], "samples=auto belongs to"),
-        (["sphere", "--betti=1,0,1"], "condition C0 adds no loss, so it takes no loss settings (betti)"),
+        (["sphere", "--betti=1,0,1"], "condition C0 has no loss, so it takes no loss settings (betti)"),
         (["my.obj", "--condition=T1"], "needs the Betti numbers of 'my.obj' in words: give --betti"),
     ],
 )
 def test_other_words_are_refused_before_anything_is_made(arguments, words, monkeypatch, capsys):
-    monkeypatch.setattr("paper_artifact.pipeline.find_mesh", None)  # calling it would fail
+    monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)  # calling it would fail
     assert cli.main(["train", "--quiet", *arguments]) == 1
     error = capsys.readouterr().err
     assert words in error and len(error.splitlines()) == 1

@@ -166,6 +166,25 @@ def print_loss(folder: Path, arguments: argparse.Namespace) -> None:
     )
 
 
+def print_gpu(folder: Path, arguments: argparse.Namespace) -> None:
+    """Print the GPU memory of C0 and C1 on the torus beside the paper's, or that there is no GPU."""
+    from paper_artifact.bench.gpu import gpu_is_here, memory_row
+    from paper_artifact.report.kit.published import published
+
+    if not gpu_is_here():
+        print("GPU memory (App. H): not measured, no NVIDIA GPU here")
+        return
+    printed = published("cost").query("quantity == 'gpu_memory_mib'").set_index("condition")["printed"]
+    print(f"GPU memory in use on the torus, {arguments.steps} steps, every 400 ms; MiB")
+    for condition in ("C0", "C1"):
+        with told_in_place(f"torus {condition} on the GPU", arguments):
+            row = memory_row(condition, folder, arguments.steps)
+        print(
+            f"  {condition}: {row['peak_mib']} at most, {row['before_mib']} before, "
+            f"{row['allocated_mib']:.0f} allocated by torch (paper: {printed[condition]})"
+        )
+
+
 def print_peers(folder: Path, arguments: argparse.Namespace) -> None:
     """Print differentiable diagrams beside other libraries'."""
     from paper_artifact.bench.peers import peer_rows

@@ -10,7 +10,7 @@ from pathlib import Path
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.errors import InputError
 
-PARTS = ("raster", "run", "compile", "reach", "persistence", "loss", "peers")  # peers: needs other libraries
+PARTS = ("raster", "run", "compile", "reach", "persistence", "loss", "gpu", "peers")  # peers: if installed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,15 +1,20 @@
-"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH`: a soup or mesh against a ground truth."""
+"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH` or `--scene DIR`: a soup or mesh, measured."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
+from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_scene
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
 from paper_artifact.files import write_json
+
+if TYPE_CHECKING:
+    from paper_artifact.frame import Frame
+    from paper_artifact.scene.load import Scene
+    from paper_artifact.soup.state import Soup
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--target",
-        required=True,
         metavar="SHAPE|MESH",
-        help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file",
+        help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file "
+        "(without one, with --scene: what the soup shows by itself)",
     )
     parser.add_argument(
         "--scene",
@@ -29,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)",
     )
+    add_reading_arguments(parser)
     parser.add_argument(
         "--samples",
         type=int,
@@ -63,18 +69,33 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(
             f"{arguments.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)"
         )
-    truth = find_mesh(arguments.target)
+    if arguments.target is None and (arguments.scene is None or not is_soup):
+        raise InputError("give --target SHAPE|MESH, or --scene DIR for a soup of photographs")
+    truth = None if arguments.target is None else find_mesh(arguments.target)
+    settings = reading_of_scene(arguments)
     draws = stream(arguments.seed, "evaluation samples")
     images = None
     if is_soup:
-        from paper_artifact.soup.state import load_soup
+        from paper_artifact.soup.state import load_frame, load_soup
 
-        soup = load_soup(arguments.surface)
-        samples = scores.soup_samples(soup.vertices.numpy(), soup.corner_opacity(), arguments.samples, draws)
-        images = None if arguments.scene is None else _holdout_scores(soup, arguments.scene)
+        soup, frame = load_soup(arguments.surface), load_frame(arguments.surface)
+        if arguments.scene is not None:
+            from paper_artifact.scene.load import load_scene
+
+            scene = load_scene(arguments.scene, **settings)
+            images = _view_scores(soup, frame, scene)
+        if truth is None:
+            result = _alone(soup, frame, scene, arguments) | {"images": images}
+            print(table_alone(result))
+            if arguments.json is not None:
+                write_json(arguments.json, result)
+            return 0
+        corners = frame.outward(soup.vertices.numpy())
+        samples = scores.soup_samples(corners, soup.corner_opacity(), arguments.samples, draws)
     else:
         mesh = load_mesh(arguments.surface)
         samples = sample_surface(mesh.vertices, mesh.faces, arguments.samples, draws)[0]
+    assert truth is not None
     target = scores.make_target(truth, arguments.samples, arguments.seed, arguments.dimension)
     result = scores.evaluate_samples(samples, target) | {
         "surface": str(arguments.surface),
@@ -113,18 +134,56 @@ def table(result: dict) -> str:
         f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %"
     )
     if "images" in result:
-        images = result["images"]
-        lines.append(
-            f"held-out views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
-            f"({len(images['views'])} views)"
-        )
+        lines.append(images_line(result["images"]))
     return "\n".join(lines)
 
 
-def _holdout_scores(soup, folder: Path) -> dict:
-    from paper_artifact.evaluate.image import image_scores
-    from paper_artifact.scene.load import load_scene
-    from paper_artifact.soup.render import render_views
+def table_alone(result: dict) -> str:
+    """Return the lines that the verb prints of a soup without a ground truth."""
+    lines = [
+        f"{result['surface']}, no ground truth, {result['samples']} samples, seed {result['seed']}",
+        "dimension   significant bars   the longest bars / floor (a bar counts above 1)",
+    ]
+    for dimension, (count, margins) in enumerate(zip(result["counts"], result["margins"], strict=True)):
+        longest = "  ".join(f"{margin:.2f}" for margin in margins[: max(count + 2, 3)])
+        lines.append(f"H{dimension}          {count:<18} {longest}")
+    lines.append(
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the SfM cloud's diagonal, finite bars "
+        "only: one component more than H0 counts)"
+    )
+    return "\n".join([*lines, images_line(result["images"])])
 
-    scene = load_scene(folder)
-    return image_scores(np.asarray(render_views(soup, scene, scene.holdout)), scene.colours(scene.holdout))
+
+def images_line(images: dict) -> str:
+    """Return the line of an image score and of which views."""
+    return (
+        f"{images['of']} views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
+        f"({len(images['views'])} views)"
+    )
+
+
+def _view_scores(soup: Soup, frame: Frame, scene: Scene) -> dict:
+    """Return `view_scores` of the held-out views, or of all where none is held out, and which ("of")."""
+    from paper_artifact.evaluate.image import view_scores
+    from paper_artifact.soup.state import reframed
+
+    views, which = (scene.holdout, "held-out") if len(scene.holdout) else (scene.train, "training")
+    return view_scores(reframed(soup, frame, scene.frame), scene, views) | {"of": which}
+
+
+def _alone(soup: Soup, frame: Frame, scene: Scene, arguments: argparse.Namespace) -> dict:
+    """Return what a soup shows by itself, in units of the scene's cloud."""
+    from paper_artifact.soup.state import reframed
+    from paper_artifact.topology.statement import frame_diagonal
+
+    moved = reframed(soup, frame, scene.frame)
+    shown = scores.evaluate_alone(
+        moved.vertices.numpy(),
+        moved.corner_opacity(),
+        frame_diagonal(scene.points),
+        arguments.samples,
+        arguments.seed,
+    )
+    del shown["step"]
+    named = {"surface": str(arguments.surface), "samples": arguments.samples, "seed": arguments.seed}
+    return shown | named

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_scene
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
+
+if TYPE_CHECKING:
+    from paper_artifact.export.triangles import Triangles
+    from paper_artifact.export.viewpoint import Viewpoint
 
 FORMATS = ("ply", "glb", "png", "html")
 
@@ -38,9 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scene",
         type=Path,
         metavar="DIR",
-        help="render the held-out views of this COLMAP scene, photographs above "
-        "(default: views around the soup)",
+        help="render the held-out views of this COLMAP scene, photographs above, and open the HTML view at "
+        "its first camera (default: views around the soup)",
     )
+    add_reading_arguments(parser)
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
     parser.add_argument("--size", type=int, default=400, help="their side in pixels (default: %(default)s)")
 
@@ -54,9 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.export.models import write_glb, write_ply
     from paper_artifact.export.triangles import mesh_triangles, soup_triangles
     from paper_artifact.export.viewer import write_html
-    from paper_artifact.soup.state import load_soup
+    from paper_artifact.soup.state import load_frame, load_soup
 
+    settings = reading_of_scene(arguments)
     soup = load_soup(arguments.soup)
+    frame = load_frame(arguments.soup)
     triangles = soup_triangles(soup)
     stem = arguments.out / arguments.soup.stem
     written = []
@@ -66,27 +75,40 @@ def run(arguments: argparse.Namespace) -> int:
         return written[-1]
 
     if "ply" in arguments.formats:
-        write_ply(path_of("ply"), triangles)
+        write_ply(path_of("ply"), triangles, frame)
     if "glb" in arguments.formats:
-        write_glb(path_of("glb"), triangles)
+        write_glb(path_of("glb"), triangles, frame)
     if "html" in arguments.formats:
         parts = {"soup": triangles}
         if arguments.target is not None:
             from paper_artifact.scene.find import find_mesh
 
-            parts["ground truth"] = mesh_triangles(find_mesh(arguments.target))
-        write_html(path_of("html"), parts, arguments.soup.stem)
+            parts["ground truth"] = mesh_triangles(find_mesh(arguments.target).framed(frame))
+        write_html(path_of("html"), parts, arguments.soup.stem, _viewpoint(arguments, triangles))
     if "png" in arguments.formats:
         from paper_artifact.export.images import sheet, write_png
         from paper_artifact.export.renders import orbit_renders, scene_renders
+        from paper_artifact.scene.load import load_scene
 
         if arguments.scene is None:
             rows = [orbit_renders(soup, arguments.views, arguments.size)]
         else:
-            rows = scene_renders(soup, arguments.scene)
+            rows = scene_renders(soup, load_scene(arguments.scene, **settings), frame)
         for index, image in enumerate(rows[-1]):
             write_png(path_of(f"view{index}.png"), image)
         write_png(path_of("views.png"), sheet(rows))
     for path in written:
         print(path)
     return 0
+
+
+def _viewpoint(arguments: argparse.Namespace, triangles: Triangles) -> Viewpoint | None:
+    """Where the HTML view opens: at the scene's first camera, as the study shows that shape, or anywhere."""
+    from paper_artifact.catalogue import SHAPES
+    from paper_artifact.export.viewpoint import scene_viewpoint, shape_viewpoint
+    from paper_artifact.scene.load import load_scene
+
+    if arguments.scene is not None:
+        return scene_viewpoint(load_scene(arguments.scene, **reading_of_scene(arguments)))
+    row = next((each for each in SHAPES if each.name == arguments.target), None)
+    return row and shape_viewpoint(row, triangles.visible().vertices.reshape(-1, 3))

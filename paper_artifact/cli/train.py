@@ -1,4 +1,4 @@
-"""`python -m paper_artifact train SHAPE …`: scene → trained soup → record."""
+"""`python -m paper_artifact train SHAPE|--scene DIR …`: scene → trained soup → record."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, shape_row, study_config
+from paper_artifact.cli._scene_options import add_scene_arguments, given_of
 from paper_artifact.config import STEPS_OF_THE_STUDY, RunConfig, parse_changes
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS
+from paper_artifact.topology.statement import NAMES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options on `parser`."""
-    parser.add_argument("shape", help="an analytic shape, the key of an external mesh, or a mesh file")
+    parser.add_argument(
+        "shape", nargs="?", help="an analytic shape, the key of an external mesh, or a mesh file"
+    )
+    add_scene_arguments(parser)
     parser.add_argument(
         "--condition",
         default=BASELINE,
@@ -53,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--results",
         type=Path,
-        default=RESULTS,
-        help="folder for record, soup, scene and checkpoint (default: results/)",
+        help="folder for record, soup, scene and checkpoint (default: results/; for one's own mesh or scene "
+        "results/own/, which git ignores)",
     )
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto (default: %(default)s)")
     parser.add_argument(
@@ -73,38 +77,51 @@ def config_from_arguments(arguments: argparse.Namespace) -> RunConfig:
 
     InputError for what is unknown or out of range.
     """
+    given = given_of(arguments)
+    if (arguments.shape is None) == (given is None):
+        raise InputError("give either a shape (or a mesh file) or --scene DIR; see --help")
     changes = parse_changes(arguments.changes, "--set")
-    for name in set(changes) & {"shape", "condition", "seed", "steps", "loss"}:
+    for name in set(changes) & {"shape", "condition", "seed", "steps", "loss", "given"}:
         raise InputError(f"--set {name} is not taken, since {name} has an argument of its own; see --help")
     loss = parse_changes(arguments.loss, "--loss")
     if arguments.betti is not None:
         if "betti" in loss:
             raise InputError("--betti and --loss betti are one setting; give one of them")
         loss |= parse_changes([f"betti={arguments.betti}"], "--betti")
-    return study_config(
-        arguments.shape, arguments.condition, arguments.seed, loss=loss, steps=arguments.steps, **changes
+    config = study_config(
+        arguments.scene or arguments.shape,
+        arguments.condition,
+        arguments.seed,
+        loss=loss,
+        steps=arguments.steps,
+        **changes,
     )
+    return replace(config, given=given)
 
 
 def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     """Return `config` with the M and the dimensions that the audit's rule finds for a mesh outside the study.
 
     Unchanged for a shape of the study, for a loss without a target bundle, and where samples or dimensions
-    are among the loss settings `given`. Says why on stderr. Raises InputError when nothing is measurable.
+    are among the loss settings `given`. Of a scene, its target's mesh decides; a bundle has both. Says why on
+    stderr. Raises InputError when nothing is measurable.
     """
     loss, chosen = config.loss, {"samples", "dimensions"} & {*given}
-    if loss is None or loss.kind == "betti" or chosen or shape_row(config.shape):
+    shape = config.shape if config.given is None else config.given.target
+    if loss is None or loss.kind == "betti" or chosen or shape is None or shape.endswith(".json"):
+        return config
+    if shape_row(shape):
         return config
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.rule import WORKING
     from paper_artifact.scene.find import find_mesh
 
-    mesh = find_mesh(config.shape, welded=False)
+    mesh = find_mesh(shape, welded=False)
     decision = audit_mesh(mesh, densities=WORKING, first_seed=loss.bundle_seed).decision
     if decision.samples is None:
         why = next((each for each in decision.reasons if each.startswith("0 of")), decision.reasons[-1])
         raise InputError(
-            f"nothing of {config.shape} is measurable at M = {' or '.join(map(str, WORKING))}: {why} "
+            f"nothing of {shape} is measurable at M = {' or '.join(map(str, WORKING))}: {why} "
             f"Train it with condition {BASELINE}, or give an M of your own with --loss samples=M"
         )
     print(*decision.reasons, sep="\n", file=sys.stderr)
@@ -116,26 +133,29 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
     from tqdm import tqdm
 
+    from paper_artifact.pipeline import results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
+    from paper_artifact.scene.given import called
     from paper_artifact.train.state import TrainingError
 
     config = config_from_arguments(arguments)
     if arguments.threads < 1:
         raise InputError(f"--threads must be at least 1, got {arguments.threads}")
     config = audited(config, parse_changes(arguments.loss, "--loss"))
+    shown = called(config)
     set_thread_count(arguments.threads)
     torch.set_num_threads(1)
     with tqdm(
         total=config.steps,
         disable=arguments.quiet,
-        desc=f"{arguments.shape} {config.condition}: compiling, scene",
+        desc=f"{shown} {config.condition}: compiling, scene",
         unit="step",
     ) as bar:
 
         def progress(step: int, text: str) -> None:
-            bar.set_description(f"{arguments.shape} {config.condition}: {text}", refresh=False)
+            bar.set_description(f"{shown} {config.condition}: {text}", refresh=False)
             bar.update(step - bar.n)
 
         try:
@@ -150,35 +170,52 @@ def run(arguments: argparse.Namespace) -> int:
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
-    contradicted = warnings(record)
+    contradicted, notes = (remarks(record, kind) for kind in ("warnings", "notes"))
     if contradicted and arguments.strict:  # of a run that is recorded, or was resumed behind its audit
         raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
     summary(record)
     for each in contradicted:
         print(f"warning: {each}")
-    print(f"record: {record_path(config_of(record), arguments.results / 'runs', record['defaults'])}")
+    for each in notes:
+        print(f"note, when the loss set in: {each}")
+    trained = config_of(record)
+    results = arguments.results or results_of(trained)
+    print(f"record: {record_path(trained, results / 'runs', record['defaults'])}")
     return 0
 
 
-def warnings(record: dict) -> list[str]:
-    """Return what a record says against the words that its loss was given."""
+def remarks(record: dict, kind: str) -> list[str]:
+    """Return what a record's audit says of the words that its loss was given: its "warnings" or "notes"."""
     audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
-    return [each for event in audits for each in event["warnings"]]
+    return [each for event in audits for each in event.get(kind, ())]
 
 
 def summary(record: dict) -> None:
     """Print a record's main numbers, one line."""
-    tails, images, dimension = record["tails"], record["images"], record["mesh"]["dimension"]
+    tails, images = record["tails"], record["images"]
     parts = [f"{record['config']['shape']} {record['config']['condition']} seed {record['config']['seed']}"]
-    if tails:
+    if tails and "mesh" not in record:
+        parts.append(counts_text(record["dumps"][-1]))
+    elif tails:
+        dimension = record["mesh"]["dimension"]
         parts += [
             f"tail bottleneck H{dimension} {tails['bottleneck'][dimension]:.4f}",
             f"counts {tuple(tails['counts'])}",
             f"Chamfer {100 * tails['chamfer']:.3f} %",
         ]
-    parts += [
-        f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}",
-        f"{record['soup']['triangles']} triangles",
-        f"{record['cpu_seconds']:.0f} s of CPU",
-    ]
+    if "psnr" in images:
+        parts.append(f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}")
+    parts += [f"{record['soup']['triangles']} triangles", f"{record['cpu_seconds']:.0f} s of CPU"]
     print("; ".join(parts))
+
+
+def counts_text(dump: dict) -> str:
+    """Return what a soup shows without a ground truth (`evaluate_alone`), in words: per dimension the bars
+    beyond the floor, how many floors the shortest of them has, and the longest below."""
+    parts = []
+    for dimension, (count, margins) in enumerate(zip(dump["counts"], dump["margins"], strict=True)):
+        number, (one, more) = count + (dimension == 0), NAMES[dimension]
+        kept = [f"{margins[count - 1]:.2f} floors"] if 0 < count <= len(margins) else []
+        kept += [f"next {margins[count]:.2f}"] if count < len(margins) else []
+        parts.append(f"{number} {one if number == 1 else more} ({', '.join(kept) or 'many'})")
+    return ", ".join(parts)

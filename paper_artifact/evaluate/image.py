@@ -9,6 +9,9 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from paper_artifact.errors import InputError
+from paper_artifact.scene.load import Scene
+from paper_artifact.soup.render import render_views
+from paper_artifact.soup.state import Soup
 from paper_artifact.ssim import RADIUS, WINDOW, gaussian_window, similarity
 
 LOWEST_MSE = 1e-10  # PSNR at most 100 dB, so that a record never holds an infinity
@@ -50,6 +53,20 @@ def image_scores(images: np.ndarray, truth: np.ndarray) -> dict:
     views = [[psnr(one, other), ssim(one, other)] for one, other in zip(images, truth, strict=True)]
     means = np.mean(views, axis=0)
     return {"psnr": float(means[0]), "ssim": float(means[1]), "views": views}
+
+
+def view_scores(soup: Soup, scene: Scene, views: np.ndarray) -> dict:
+    """Return `image_scores` of a soup's renders of the scene's `views` (indices), one view in memory at a
+    time.
+
+    Raises InputError for no views.
+    """
+    if not len(views):
+        raise InputError(f"{scene.path} holds no view out, so there is nothing to score")
+    each = [image_scores(render_views(soup, scene, [view]), scene.colours([view])) for view in views]
+    pairs = [pair for scores in each for pair in scores["views"]]
+    means = np.mean(pairs, axis=0)
+    return {"psnr": float(means[0]), "ssim": float(means[1]), "views": pairs}
 
 
 def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.files import RESULTS, atomic_path, load_npz
+from paper_artifact.files import RESULTS, load_npz, write_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -74,10 +74,7 @@ def make_target(
     if diagram is None:
         diagram = diagram_of(samples, mesh.diagonal)
         if path is not None:
-            with atomic_path(path) as temporary, open(temporary, "wb") as handle:
-                np.savez_compressed(
-                    handle, **{f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)}
-                )
+            write_npz(path, {f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)})
     floor = measurement_floor(samples, mesh.diagonal)
     if dimension is None:
         row = shape_row(mesh.name)
@@ -151,6 +148,28 @@ def evaluate_soup(
     return {"step": int(step)} | evaluate_samples(samples, target)
 
 
+def evaluate_alone(
+    vertices: np.ndarray, opacity: np.ndarray, diagonal: float, count: int, seed: int = 0, step: int = 0
+) -> dict:
+    """Return what a soup shows without a ground truth: "step", "counts" [3], "floor", "bars" and "margins".
+
+    As `evaluate_soup`, from `count` samples, with lengths divided by `diagonal` (world units), for example
+    `frame_diagonal` of the SfM cloud. margins: per dimension the `bars`' lifetimes over the floor; a bar
+    counts where its margin exceeds 1. Raises InputError as its parts do.
+    """
+    samples = soup_samples(vertices, opacity, count, stream(seed, "evaluation samples", step))
+    diagram = diagram_of(samples, diagonal)
+    floor = measurement_floor(samples, diagonal)
+    longest = [longest_bars(bars, floor) for bars in diagram]
+    return {
+        "step": int(step),
+        "counts": list(significant_counts(diagram, floor)),
+        "floor": _rounded(floor),
+        "bars": [[[_rounded(x) for x in bar] for bar in bars] for bars in longest],
+        "margins": [[_rounded((death - birth) / floor) for birth, death in bars] for bars in longest],
+    }
+
+
 def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> float:
     """Return the mean bottleneck in `dimension` of the last dumps (2300, 2400, 2500 in the study; paper §4).
 
@@ -166,10 +185,13 @@ def tail(dumps: Sequence[Mapping], dimension: int, last: int = TAIL_DUMPS) -> fl
 
 def tails(dumps: Sequence[Mapping], last: int = TAIL_DUMPS) -> dict:
     """Return the last dumps' "steps", mean "bottleneck" [3], "chamfer" and "hausdorff95", and last "counts"
-    [3].
+    [3]; without a ground truth (`evaluate_alone`) the last "steps" and "counts" alone.
 
     Raises InputError for fewer than `last` dumps.
     """
+    if dumps and "bottleneck" not in dumps[-1]:
+        final = max(dumps, key=lambda dump: dump["step"])
+        return {"steps": [final["step"]], "counts": list(final["counts"])}
     bottleneck = [_rounded(tail(dumps, dimension, last)) for dimension in range(3)]
     chosen = sorted(dumps, key=lambda dump: dump["step"])[-last:]
     means = {

@@ -1,4 +1,4 @@
-"""PLY and GLB files of coloured triangles, through trimesh. Positions are world units, as trained."""
+"""PLY and GLB files of coloured triangles, through trimesh, in the user's coordinates."""
 
 from __future__ import annotations
 
@@ -11,26 +11,52 @@ from trimesh.exchange.ply import export_ply
 
 from paper_artifact.export.triangles import Triangles
 from paper_artifact.files import write_bytes
+from paper_artifact.frame import SAME, Frame
 
 
-def write_ply(path: Path | str, triangles: Triangles) -> None:
+def write_ply(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> None:
     """Write all triangles as binary PLY: per corner x y z, red green blue (sRGB bytes), alpha (opacity byte).
 
-    Raises InputError when `path` is not writable.
+    frame: of the triangles' coordinates; where it is not the user's own, x y z are doubles, since floats may
+    not resolve them. Raises InputError when `path` is not writable.
     """
-    write_bytes(path, export_ply(_trimesh(triangles, triangles.colours, triangles.opacity)))
+    mesh = _trimesh(triangles, triangles.colours, triangles.opacity)
+    data = export_ply(mesh)
+    write_bytes(path, data if frame == SAME else _with_doubles(data, frame.outward(mesh.vertices)))
 
 
-def write_glb(path: Path | str, triangles: Triangles) -> None:
+def write_glb(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> None:
     """Write the triangles of mean opacity ≥ .5 as binary glTF 2.0, unlit, double-sided, with vertex colours.
 
     glTF wants COLOR_0 linear, so the bytes are the colours after the inverse sRGB curve; a conforming viewer
-    shows the trained colours. Opacity is left out: soups blended without sorting look wrong. Raises
-    InputError as `Triangles.visible` does, and when `path` is not writable.
+    shows the trained colours. Opacity is left out: soups blended without sorting look wrong. frame: of the
+    triangles' coordinates, the node's transform where it is not the user's. Raises InputError as
+    `Triangles.visible` does, and when `path` is not writable.
     """
     shown = triangles.visible()
     mesh = _trimesh(shown, srgb_to_linear(shown.colours), np.ones_like(shown.opacity))
-    write_bytes(path, export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_unlit))
+    scene = mesh.scene()
+    if frame != SAME:
+        placed = np.diag([*(2.0**frame.exponent,) * 3, 1.0])
+        placed[:3, 3] = frame.offset
+        scene = trimesh.Scene()
+        scene.add_geometry(mesh, transform=placed)
+    write_bytes(path, export_glb(scene, include_normals=False, tree_postprocessor=unlit))
+
+
+def _with_doubles(ply: bytes, vertices: np.ndarray) -> bytes:
+    """Return trimesh's binary PLY with other positions (n,3), as doubles."""
+    end = ply.index(b"end_header\n") + len(b"end_header\n")
+    header, body = ply[:end], ply[end:]
+    for axis in (b"x", b"y", b"z"):
+        header = header.replace(b"property float " + axis + b"\n", b"property double " + axis + b"\n")
+    colour = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
+    old = np.frombuffer(body, np.dtype([("place", "<f4", 3), *colour]), len(vertices))
+    new = np.empty(len(vertices), np.dtype([("place", "<f8", 3), *colour]))
+    for name, _ in colour:
+        new[name] = old[name]
+    new["place"] = vertices
+    return header + new.tobytes() + body[old.nbytes :]
 
 
 def srgb_to_linear(colours: np.ndarray) -> np.ndarray:
@@ -49,9 +75,9 @@ def _trimesh(triangles: Triangles, colours: np.ndarray, opacity: np.ndarray) -> 
     )
 
 
-def _unlit(tree: dict) -> None:
-    """Give every primitive one unlit, double-sided material: a soup has no inside, its colours hold their
-    light.
+def unlit(tree: dict) -> None:
+    """Give every primitive of a glTF tree one unlit, double-sided material, in place: a soup has no inside,
+    its colours hold their light.
     """
     tree["materials"] = [
         {

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.export.triangles import THRESHOLD
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh
 from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
-from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.load import Scene
 from paper_artifact.soup.render import render_views
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, reframed
 
 
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
@@ -42,11 +43,10 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     return list(render_views(soup, scene, np.arange(count)))
 
 
-def scene_renders(soup: Soup, folder: Path | str) -> list[list[np.ndarray]]:
-    """Return two rows of images (H,W,3) float32 in [0,1]: the scene's held-out photographs, the soup's
-    renders.
-
-    Raises InputError as `load_scene` does.
+def scene_renders(soup: Soup, scene: Scene, frame: Frame = SAME) -> list[list[np.ndarray]]:
+    """Return two rows of images (H,W,3) float32 in [0,1]: the scene's held-out photographs (all where
+    none is held out), the soup's renders. frame: of the soup's coordinates.
     """
-    scene = load_scene(folder)
-    return [list(scene.colours(scene.holdout)), list(render_views(soup, scene, scene.holdout))]
+    soup = reframed(soup, frame, scene.frame)
+    views = scene.holdout if len(scene.holdout) else scene.train
+    return [list(scene.colours(views)), list(render_views(soup, scene, views))]

@@ -13,22 +13,28 @@ import numpy as np
 from paper_artifact.errors import InputError
 from paper_artifact.export.triangles import Triangles
 from paper_artifact.export.viewer_page import PAGE
+from paper_artifact.export.viewpoint import Viewpoint, framing
 from paper_artifact.files import write_text
 
 MOST_TRIANGLES = 400_000  # about 25 MB of HTML
 
 
-def write_html(path: Path | str, parts: Mapping[str, Triangles], title: str) -> None:
-    """Write a page that shows `parts` (name → triangles, world units) one at a time, chosen by buttons.
+def write_html(
+    path: Path | str, parts: Mapping[str, Triangles], title: str, viewpoint: Viewpoint | None = None
+) -> None:
+    """Write a page that shows `parts` (name → triangles, world units) side by side, turning together, or one
+    of them alone.
 
-    Drag to orbit, wheel or pinch to zoom, double click to reset; "light" adds a headlight. Triangles of mean
-    opacity below .5 are left out. Raises InputError for no parts, a part that is empty or not finite, more
-    triangles than a page can hold, or a path that is not writable.
+    viewpoint: where it is first seen from (default: all of it, from above one side, z upwards). Drag to
+    orbit, wheel or pinch to zoom, double click to reset; "light" is a headlight, "colours" shows the
+    triangles' own instead of one grey. Triangles of mean opacity below .5 are left out. Raises InputError for
+    no parts, a part that is empty or not finite, more triangles than a page can hold, or a path that is not
+    writable.
     """
-    write_text(path, html_page(parts, title))
+    write_text(path, html_page(parts, title, viewpoint))
 
 
-def html_page(parts: Mapping[str, Triangles], title: str) -> str:
+def html_page(parts: Mapping[str, Triangles], title: str, viewpoint: Viewpoint | None = None) -> str:
     """Return the page of `write_html` as text."""
     shown = {name: triangles.visible() for name, triangles in parts.items()}
     if not shown:
@@ -44,9 +50,13 @@ def html_page(parts: Mapping[str, Triangles], title: str) -> str:
             "the triangles hold coordinates that are not finite; the run that made them has diverged"
         )
     low, high = points.min(axis=0), points.max(axis=0)
+    seen = viewpoint or framing(points)
     data = {
         "centre": [float(x) for x in (low + high) / 2],
         "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
+        "eye": seen.eye,
+        "target": seen.target,
+        "up": seen.up,
         "parts": [
             {
                 "name": name,

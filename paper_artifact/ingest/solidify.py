@@ -15,6 +15,7 @@ from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
+from paper_artifact.certify.simplices import labels_of_graph
 from paper_artifact.errors import InputError
 from paper_artifact.ingest.distance import distance_grid
 from paper_artifact.mesh import Mesh, checked_mesh, weld
@@ -24,6 +25,33 @@ CELLS = 2.0  # grid cells per ε
 # Field values closer to ε than this fraction of a cell are moved away: no vertex then falls on a grid point.
 NUDGE = 1e-3
 FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points may have
+
+
+@dataclass(frozen=True, eq=False)
+class OuterSurface:
+    """The boundary of a solidified soup as marching cubes gives it, wound outwards."""
+
+    vertices: np.ndarray  # (V,3) float64 that hold float32 values, world units
+    faces: np.ndarray  # (F,3) integers
+    name: str  # for messages
+    cell: float  # spacing of the grid, world units
+    grid: tuple[int, int, int]  # points per axis
+    pockets: int  # enclosed cavities that were filled
+    inside: float  # share of a body's volume that was such a cavity, least of all bodies; see `offsets`
+
+    def shell(self) -> Mesh:
+        """Return the surface as a Mesh, welded exactly."""
+        return checked_mesh(self.vertices, self.faces, self.name)
+
+    @property
+    def betti(self) -> tuple[int, int, int]:
+        """(b0, b1, b2), counted on the understanding that the surface is closed and a manifold, as marching
+        cubes makes it: components, Euler characteristic. `certify` counts without that.
+        """
+        sides = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]]])
+        count = len(np.unique(labels_of_graph(sides[:, 0], sides[:, 1], len(self.vertices))))
+        euler = len(self.vertices) - len(self.faces) // 2
+        return count, 2 * count - euler, count
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +94,37 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too large,
     or a mesh so far from the origin that float32 cannot hold its shell.
     """
+    check_offset(offset, cells)
+    raw = certify_mesh(mesh)
+    epsilon = offset * mesh.diagonal
+    surface = outer_surface(mesh, epsilon, epsilon / cells)
+    shell = surface.shell()
+    certificate = certify_mesh(shell)
+    return Solid(
+        shell=replace(shell, betti=certificate.betti if certificate.passed else None),
+        raw=raw,
+        certificate=certificate,
+        offset=float(epsilon),
+        cell=surface.cell,
+        grid=surface.grid,
+        pockets=surface.pockets,
+    )
+
+
+def check_offset(offset: float, cells: float) -> None:
+    """Raise InputError unless ε / diagonal is in (0, 0.25] and there is at least one grid cell per ε."""
     if not 0 < offset <= 0.25:
         raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {offset}")
     if not (np.isfinite(cells) and cells >= 1):
         raise InputError(f"there must be at least one grid cell per offset, got {cells}")
-    raw = certify_mesh(mesh)
+
+
+def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
+    """Return the outer surface of all that is within epsilon of a raw Mesh; both lengths in world units.
+
+    Raises InputError for a grid too large, or a mesh so far from the origin that float32 cannot hold it.
+    """
     vertices, faces = weld(mesh.vertices, mesh.faces)
-    epsilon = offset * mesh.diagonal
-    cell = epsilon / cells
     farthest = float(np.abs(vertices).max())
     if farthest * np.finfo(np.float32).eps > FAR * cell:
         raise InputError(
@@ -81,20 +132,27 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
             "for the shell's float32 points; move it towards the origin first"
         )
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
+    near = field.values <= np.float32(epsilon)
     values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
     points, triangles, _, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
     rounded = (points.astype(np.float64) * cell + field.origin).astype(np.float32).astype(np.float64)
-    shell = checked_mesh(rounded, triangles, f"{mesh.name} shell")
-    certificate = certify_mesh(shell)
-    return Solid(
-        shell=replace(shell, betti=certificate.betti if certificate.passed else None),
-        raw=raw,
-        certificate=certificate,
-        offset=float(epsilon),
+    return OuterSurface(
+        vertices=rounded,
+        faces=triangles,
+        name=f"{mesh.name} shell",
         cell=float(cell),
         grid=tuple(int(n) for n in values.shape),
         pockets=pockets,
+        inside=_least_inside(values < np.float32(epsilon), near),
     )
+
+
+def _least_inside(filled: np.ndarray, near: np.ndarray) -> float:
+    """Return the least share, over the 6-connected bodies of `filled`, of points that are not `near`."""
+    labels, count = ndimage.label(filled)
+    whole = np.bincount(labels[filled], minlength=count + 1)[1:]
+    walls = np.bincount(labels[near & filled], minlength=count + 1)[1:]
+    return float(1 - (walls / whole).max())
 
 
 def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.ndarray, int]:

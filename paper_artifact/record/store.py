@@ -20,7 +20,7 @@ import numpy as np
 
 from paper_artifact.config import DEFAULTS_VERSION, RunConfig, config_from, config_values, identity
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS, write_text
+from paper_artifact.files import RESULTS, load_json, write_text
 from paper_artifact.record.environment import host, packages
 from paper_artifact.record.packing import pack, unpack
 
@@ -29,6 +29,7 @@ VERSION = 2
 RUNS = RESULTS / "runs"
 REQUIRED = ("config", "config_hash", "defaults", "digest", "dumps", "host", "packages", "tails", "timings")
 DIGITS = 7
+HASH_DIGITS = 12
 ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
 LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
@@ -63,7 +64,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
 def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
     """Return the first 12 hex digits of the SHA-256 of the run's identity under that version of the
     defaults."""
-    return _hash(plain(identity(config, version)))[:12]
+    return _hash(plain(identity(config, version)))[:HASH_DIGITS]
 
 
 def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEFAULTS_VERSION) -> Path:
@@ -76,8 +77,11 @@ def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEF
 
 def recorded_path(config: RunConfig, folder: Path | str = RUNS) -> Path | None:
     """Return the path of the record of `config` that is there, under the newest version of the defaults that
-    has one, or None."""
+    has one, or None. One's own data may have been called otherwise then: their content is looked for."""
     paths = [record_path(config, folder, version) for version in range(DEFAULTS_VERSION, 0, -1)]
+    if config.given is not None and config.given.digest:
+        ends = [f"*-s{config.seed}-{path.stem[-HASH_DIGITS:]}.json" for path in paths]
+        paths += [found for end in ends for found in sorted(Path(folder).glob(end))]
     return next((path for path in paths if path.is_file()), None)
 
 
@@ -140,7 +144,7 @@ def read_record(path: Path | str) -> dict:
     """
     path = Path(path)
     try:
-        record = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        record = load_json(path)
     except OSError as error:
         raise InputError(f"cannot read the record {path}: {error.strerror}; check the path") from error
     except ValueError as error:
@@ -157,7 +161,7 @@ def read_record(path: Path | str) -> dict:
         )
     try:
         record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"the record {path} is damaged in its tables ({error}); delete it and run again"
         ) from error
@@ -179,7 +183,11 @@ def read_record(path: Path | str) -> dict:
         raise InputError(
             f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again"
         )
-    if record["digest"] != _hash({key: value for key, value in record.items() if key != "digest"}):
+    try:
+        digest = _hash({key: value for key, value in record.items() if key != "digest"})
+    except ValueError:  # a number beyond what a float holds, which no writer wrote
+        digest = None
+    if record["digest"] != digest or digest is None:
         raise InputError(
             f"the record {path} was changed after it was written (digest mismatch); delete it and run again"
         )
@@ -232,7 +240,3 @@ def _canonical(value: Any) -> str:
 
 def _hash(value: Any) -> str:
     return hashlib.sha256(_canonical(value).encode("utf-8")).hexdigest()
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"it holds {name}, which JSON does not know")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import os
 import shutil
 import tempfile
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,18 +18,28 @@ from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json
+from paper_artifact.files import load_json, write_failure, write_json, write_npz
+from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonacci_cameras
+from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, fibonacci_cameras, unframed
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH, held_files
 from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
+from paper_artifact.scene.holdout import EVERY
+from paper_artifact.scene.perturb import (
+    CLEAN,
+    Perturbation,
+    moved_camera,
+    noisy_image,
+    perturbed_cloud,
+    surrounding,
+)
 from paper_artifact.scene.texture import mesh_texture
 
+STALE = 3600.0  # seconds
 SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
-DESCRIPTION = "scene.json"
-GROUND_TRUTH = "ground_truth.npz"
 
 
 @dataclass(frozen=True)
@@ -39,11 +51,12 @@ class SceneConfig:
 
     views: int = 48  # cameras on a Fibonacci sphere, every 8th is held out
     size: int = 200  # image side, pixels
-    background: str = "white"  # or "black"
+    background: str = "white"  # "black" or "texture"
     supersample: int = 4  # samples per pixel and axis
     points: int = 15000  # of the SfM cloud, drawn from the surface, uniform by area
     texture_frequency: float = 1.0  # multiplies the texture's wave numbers
     seed: int = 0  # of the SfM cloud
+    perturbation: Perturbation = CLEAN  # of training views, cameras and cloud
 
     def __post_init__(self) -> None:
         for name, lowest, highest in (
@@ -67,7 +80,10 @@ class SceneConfig:
 
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
     """Return the sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
-    content = {"format": SCENE_FORMAT, "config": asdict(config), "mesh": mesh_hash(mesh), "name": mesh.name}
+    values = asdict(config)
+    if config.perturbation == CLEAN:  # a clean scene keeps the key it had before there were others
+        del values["perturbation"]
+    content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(mesh), "name": mesh.name}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -93,6 +109,7 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     temporary = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        _clear_stale(folder)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
         _write_scene(mesh, config, temporary, key, progress)
         temporary.chmod(0o755)
@@ -103,13 +120,20 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
             if not _holds(folder, key, config.views):
                 raise
     except OSError as error:
-        raise InputError(
-            f"cannot write the scene to {folder}: {error.strerror}; choose a folder that you can write to"
-        ) from error
+        raise write_failure(f"the scene to {folder}", error) from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
     return folder
+
+
+def _clear_stale(folder: Path) -> None:
+    """Remove what killed builds of the same scene have left: temporary folders that nothing was written to
+    for STALE seconds. Others may be in the making by another process."""
+    for left in folder.parent.glob(f".{glob.escape(folder.name)}-*.partial"):
+        written = max(each.stat().st_mtime for each in (left, *left.glob("*")))
+        if time.time() - written > STALE:
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _holds(folder: Path, key: str, views: int) -> bool:
@@ -117,7 +141,7 @@ def _holds(folder: Path, key: str, views: int) -> bool:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     try:
-        held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["key"]
+        held = load_json(folder / DESCRIPTION)["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder} exists and is no scene of this package; choose another folder or remove it"
@@ -135,17 +159,29 @@ def _holds(folder: Path, key: str, views: int) -> bool:
 
 def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progress: bool) -> None:
     background = background_colour(config.background)
+    user, frame = mesh, frame_for(mesh.centre, mesh.radius)
+    mesh = user.framed(frame)  # what is drawn is drawn in float32; what is written is the user's
     cameras = fibonacci_cameras(mesh, config.views, config.size)
     names = [f"view_{index:03d}.png" for index in range(config.views)]
     (folder / "images").mkdir()
     views = list(zip(names, cameras, strict=True))
+    seen = {name for place, name in enumerate(names) if place % EVERY}  # what is trained on
     for name, camera in tqdm(views, desc=f"rendering {mesh.name}", unit="view", disable=not progress):
-        image = render_ground_truth(mesh, camera, background, config.supersample, config.texture_frequency)
+        behind = surrounding(camera) if config.background == "texture" and name in seen else background
+        image = render_ground_truth(mesh, camera, behind, config.supersample, config.texture_frequency)
+        if name in seen:
+            image = noisy_image(image, config.perturbation, names.index(name))
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
     positions, _, _ = sample_surface(
         mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud")
     )
     colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
+    positions, colours = perturbed_cloud(positions, colours, config.perturbation, mesh.diagonal)
+    poses = [
+        moved_camera(camera, config.perturbation, mesh.diagonal, place) if name in seen else camera
+        for place, (name, camera) in enumerate(views)
+    ]
+    written = [unframed(camera, frame) for camera in poses]
     first = cameras[0]
     model = Model(
         cameras={
@@ -158,21 +194,21 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         },
         images={
             index + 1: Pose(name, 1, camera.quaternion, camera.translation)
-            for index, (name, camera) in enumerate(views)
+            for index, (name, camera) in enumerate(zip(names, written, strict=True))
         },
-        point_ids=np.arange(1, config.points + 1),
-        positions=positions,
+        point_ids=np.arange(1, len(positions) + 1),
+        positions=frame.outward(positions),
         colours=colours,
-        errors=np.zeros(config.points),
+        errors=np.zeros(len(positions)),
     )
     write_model(model, folder / "sparse" / "0")
-    np.savez(
-        folder / GROUND_TRUTH,
-        vertices=mesh.vertices,
-        faces=mesh.faces,
-        name=np.array(mesh.name),
-        betti=np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
-    )
+    truth = {
+        "vertices": user.vertices,
+        "faces": mesh.faces,
+        "name": np.array(mesh.name),
+        "betti": np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
+    }
+    write_npz(folder / GROUND_TRUTH, truth, compressed=False)
     write_json(
         folder / DESCRIPTION,
         {
@@ -180,18 +216,19 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
             "package": __version__,
             "key": key,
             "config": asdict(config),
+            "files": held_files(folder),
             "background": background.tolist(),
-            "centre": mesh.centre.tolist(),
-            "radius": mesh.radius,
+            "centre": user.centre.tolist(),
+            "radius": user.radius,
             "camera_distance_in_radii": CAMERA_DISTANCE,
             "field_of_view_degrees": FIELD_OF_VIEW,
             "mesh": {
                 "name": mesh.name,
-                "sha256": mesh_hash(mesh),
+                "sha256": mesh_hash(user),
                 "vertices": len(mesh.vertices),
                 "faces": len(mesh.faces),
                 "betti": list(mesh.betti) if mesh.betti is not None else None,
-                "diagonal": mesh.diagonal,
+                "diagonal": user.diagonal,
             },
         },
     )

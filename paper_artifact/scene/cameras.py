@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh
 
 CAMERA_DISTANCE = 3.0  # in bounding radii of the scene
@@ -41,6 +42,25 @@ class Camera:
     def position(self) -> np.ndarray:
         """The camera's centre in world units, (3,) float64."""
         return -self.rotation.T @ np.asarray(self.translation)
+
+
+def framed(camera: Camera, frame: Frame) -> Camera:
+    """Return a camera of the user's world in the coordinates of a run with this frame; itself where they are
+    equal."""
+    if frame == SAME:
+        return camera
+    moved = np.asarray(camera.translation) + camera.rotation @ np.asarray(frame.offset)
+    x, y, z = np.ldexp(moved, -frame.exponent).tolist()
+    return replace(camera, translation=(x, y, z))
+
+
+def unframed(camera: Camera, frame: Frame) -> Camera:
+    """Return a camera of a run's coordinates in the user's world: the inverse of `framed`."""
+    if frame == SAME:
+        return camera
+    scaled = np.ldexp(np.asarray(camera.translation), frame.exponent)
+    x, y, z = (scaled - camera.rotation @ np.asarray(frame.offset)).tolist()
+    return replace(camera, translation=(x, y, z))
 
 
 def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:

@@ -16,6 +16,14 @@ from paper_artifact.scene.sources import TABLE, sources
 POT = "pot"  # the ingested shell of the procedural hot pot, in the role of the paper's pot
 
 
+def is_named(shape: str) -> bool:
+    """Return whether find_mesh knows `shape` by name, whatever files of that name there are."""
+    # Without a checkout there is no table; the study's own names are worth its error, others may be files.
+    return (
+        shape in SHAPES or shape == POT or bool((TABLE.is_file() or shape_row(shape)) and shape in sources())
+    )
+
+
 def find_mesh(shape: str, welded: bool = True) -> Mesh:
     """Return the mesh of an analytic shape, an external mesh's key (fetched if needed), the pot, or a mesh
     file.
@@ -30,8 +38,7 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         from paper_artifact.ingest.hot_pot import pot_solid
 
         return replace(pot_solid().shell, name=shape)
-    # Without a checkout there is no table; the study's own names are worth its error, others may be files.
-    if (TABLE.is_file() or shape_row(shape)) and shape in sources():
+    if is_named(shape):
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
     if Path(shape).suffix or Path(shape).is_file():
         return load_mesh(Path(shape), welded=welded)

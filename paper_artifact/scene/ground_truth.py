@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from paper_artifact.errors import InputError
@@ -10,16 +12,22 @@ from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, world_to_clip
 from paper_artifact.scene.texture import mesh_texture
 
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+BACKGROUNDS = {
+    "white": (1.0, 1.0, 1.0),
+    "black": (0.0, 0.0, 0.0),
+    "texture": (0.5, 0.5, 0.5),  # what training and held-out views compose over; see `perturb.surrounding`
+}
 
 
 def background_colour(name: str) -> np.ndarray:
-    """Return the RGB colour (3,) float32 in [0,1] of a background name.
+    """Return the RGB colour (3,) float32 in [0,1] of a background: white, black or "#rrggbb".
 
-    Raises InputError for any but white and black.
+    Raises InputError for any other.
     """
+    if re.fullmatch("#[0-9a-fA-F]{6}", name):
+        return np.frombuffer(bytes.fromhex(name[1:]), np.uint8) / np.float32(255)
     if name not in BACKGROUNDS:
-        raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}")
+        raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}, or #rrggbb")
     return np.array(BACKGROUNDS[name], dtype=np.float32)
 
 
@@ -29,8 +37,8 @@ def render_ground_truth(
     """Return the image (H,W,3) float32 in [0,1] of the textured mesh.
 
     The scene is rasterized at `supersample` times the camera's resolution, coloured at each sample's surface
-    position (world units, perspective-correct), composited over `background` (3,), and averaged over boxes of
-    supersample².
+    position (world units, perspective-correct), composited over `background`, (3,) or (H,W,3), and averaged
+    over boxes of supersample².
     """
     matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
     clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]
@@ -47,5 +55,5 @@ def render_ground_truth(
     pixels = camera.height * camera.width
     missed = supersample**2 - np.bincount(pixel, minlength=pixels)
     sums = np.stack([np.bincount(pixel, colours[:, channel], pixels) for channel in range(3)], axis=1)
-    image = (sums + missed[:, None] * background) / supersample**2
+    image = (sums + missed[:, None] * background.reshape(-1, 3)) / supersample**2
     return image.reshape(camera.height, camera.width, 3).astype(np.float32)

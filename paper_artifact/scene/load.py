@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_npz
+from paper_artifact.files import inside, load_npz
+from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.scene.build import DESCRIPTION, GROUND_TRUTH
-from paper_artifact.scene.cameras import FAR, NEAR, world_to_clip
+from paper_artifact.scene.cameras import FAR, NEAR, framed, world_to_clip
 from paper_artifact.scene.colmap import read_model
+from paper_artifact.scene.folder import GROUND_TRUTH, check_files, model_folder, read_description, scene_root
+from paper_artifact.scene.ground_truth import background_colour
+from paper_artifact.scene.holdout import AUTO, EVERY, held_out
+from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels
 
-HOLDOUT_EVERY = 8
+MEAN = "mean"  # as a background: the mean colour of the photographs
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scene as the trainer sees it; `n` views in the order of their names.
-
-    Every 8th view, from the first on, is held out, as in Mip-NeRF 360 and DiffSoup.
-    """
+    """A scene as the trainer sees it; `n` views in the order of their names."""
 
     path: Path  # its folder
     names: tuple[str, ...]  # of the images' files
@@ -36,26 +36,32 @@ class Scene:
     train: np.ndarray  # (k,) int64, indices of the views to train on
     holdout: np.ndarray  # (m,) int64, indices of the views held out
     radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
+    frame: Frame = SAME  # of the world units here, which are the files' unless those are far, huge or tiny
 
-    def colours(self, views: np.ndarray | int) -> np.ndarray:
+    def colours(self, views: np.ndarray | list[int] | int) -> np.ndarray:
         """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
         return np.moveaxis(self.images[views], -3, -1) / np.float32(255)
 
 
-def load_scene(path: Path | str) -> Scene:
-    """Return the COLMAP scene in the folder `path`: `images/`, and `sparse/0/` or `sparse/`, binary or text.
+def load_scene(
+    path: Path | str, *, downscale: float = 1.0, background: str | None = None, holdout: str | None = None
+) -> Scene:
+    """Return the COLMAP scene in the folder `path` (see `scene_root`): `images/`, and `sparse/0/` or
+    `sparse/`, binary or text.
 
-    Background and radius come from scene.json where there is one; else the background is white and the radius
-    half the diagonal of the cloud's central 98 % box. Transparent pixels are composited over the background.
+    Radius and, where `background` is None, the background come from scene.json where there is one; else the
+    background is white and the radius half the diagonal of the cloud's central 98 % box. background: "white",
+    "black", "mean" (of the training photographs) or "#rrggbb"; what is transparent, or black in `masks/`, is
+    composited over it. downscale: see `images.composited`. holdout: see `holdout.held_out`; None takes
+    scene.json's, which is every 8th for this package's scenes, else "auto". One image is read at a time.
 
     Raises InputError for missing or damaged files, images of unequal size or of another aspect than their
     camera, fewer than two views, an SfM cloud of fewer than four points.
     """
-    path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")
-    sparse = path / "sparse" / "0"
-    model = read_model(sparse if sparse.is_dir() else path / "sparse")
+    path = scene_root(path)
+    description = read_description(path)
+    check_files(path, description)
+    model = read_model(model_folder(path))
     order = sorted(model.images, key=lambda image: model.images[image].name)
     names = tuple(model.images[image].name for image in order)
     if len(names) < 2:
@@ -66,33 +72,63 @@ def load_scene(path: Path | str) -> Scene:
         raise InputError(
             f"{path} has an SfM cloud of {len(model.positions)} points; at least 4 are needed to start from"
         )
-    description = _description(path)
-    background = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
-    radius = float(description.get("radius", 0.0)) or _cloud_radius(model.positions)
-    cameras = [model.camera(image) for image in order]
-    images = [
-        _read_image(path / "images" / name, camera.width / camera.height, background)
-        for name, camera in zip(names, cameras, strict=True)
-    ]
-    sizes = sorted({image.shape[1:] for image in images})
-    if len(sizes) > 1:
-        (h0, w0), (h1, w1) = sizes[:2]
-        raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
+    centre, radius = _cloud_ball(model.positions)
+    radius = float(description.get("radius", 0.0)) or radius
+    frame = frame_for(centre, radius)
+    radius = frame.length(radius)
+    cameras = [framed(model.camera(image), frame) for image in order]
+    centres = np.stack([camera.position for camera in cameras])
+    own = str(EVERY) if "key" in description else AUTO  # the study's scenes keep their held-out views
+    chosen = held_out(holdout or description.get("holdout", own), names, centres)
     indices = np.arange(len(names))
+    train = indices[~np.isin(indices, chosen)]
+
+    def pixels(view: int) -> Pixels:
+        file, camera = inside(path, f"images/{names[view]}"), cameras[view]
+        return read_pixels(read_file(file), file, camera.width / camera.height, mask_of(path, names[view]))
+
+    if background == MEAN:
+        colour = _mean_colour(pixels(int(view)) for view in train)
+    elif background is not None:
+        colour = background_colour(background)
+    else:
+        colour = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
+    first = composited(pixels(0), colour, downscale)
+    images = np.empty((len(names), *first.shape), np.uint8)
+    images[0] = first
+    for view in range(1, len(names)):
+        image = composited(pixels(view), colour, downscale)
+        if image.shape != first.shape:
+            (h0, w0), (h1, w1) = sorted([first.shape[1:], image.shape[1:]])
+            raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
+        images[view] = image
     return Scene(
         path=path,
         names=names,
-        images=np.stack(images),
+        images=images,
         world_to_clip=np.stack(
             [world_to_clip(camera, NEAR * radius, FAR * radius) for camera in cameras]
         ).astype(np.float32),
-        camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
-        background=background,
-        points=model.positions.astype(np.float32),
-        train=indices[indices % HOLDOUT_EVERY != 0],
-        holdout=indices[indices % HOLDOUT_EVERY == 0],
+        camera_centres=centres.astype(np.float32),
+        background=colour,
+        points=frame.inward(model.positions).astype(np.float32),
+        train=train,
+        holdout=chosen,
         radius=radius,
+        frame=frame,
     )
+
+
+def _mean_colour(pictures: Iterable[Pixels]) -> np.ndarray:
+    """Return the mean colour (3,) float32 in [0,1] of what counts in the pictures."""
+    total, weight = np.zeros(3), 0.0
+    for each in pictures:
+        alpha = np.full(each.colours.shape[:2], 255, np.uint8) if each.alpha is None else each.alpha
+        total += np.einsum("hwc,hw->c", each.colours, alpha, dtype=np.float64)
+        weight += float(alpha.sum(dtype=np.float64))
+    if weight == 0:
+        raise InputError("the masks leave nothing of the photographs; check that white is what counts")
+    return (total / weight / 255).astype(np.float32)
 
 
 def load_ground_truth(path: Path | str) -> Mesh:
@@ -100,7 +136,7 @@ def load_ground_truth(path: Path | str) -> Mesh:
 
     Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
     """
-    file = Path(path) / GROUND_TRUTH
+    file = inside(Path(path), GROUND_TRUTH)
     if not file.is_file():
         raise InputError(
             f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
@@ -109,40 +145,21 @@ def load_ground_truth(path: Path | str) -> Mesh:
     try:
         stored = load_npz(file)
         vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (OSError, ValueError, KeyError) as error:
+        known = tuple(int(value) for value in betti)
+        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
-    known = tuple(int(value) for value in betti)
-    return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)
+    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.shape[1] == faces.shape[1] == 3:
+        raise InputError(f"{file} holds no mesh; remove the scene's folder and build it again")
+    mesh = checked_mesh(vertices, faces, str(file), known if len(known) == 3 else None, welded=False)
+    return replace(mesh, name=str(name))
 
 
-def _description(path: Path) -> dict:
-    file = path / DESCRIPTION
-    if not file.is_file():
-        return {}
-    try:
-        description = json.loads(file.read_text(encoding="utf-8"))
-        background = np.array(description["background"], dtype=np.float64)
-        sound = (
-            background.shape == (3,)
-            and background.min() >= 0
-            and background.max() <= 1
-            and description["radius"] > 0
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{file} is damaged ({error}); remove the scene's folder and build it again"
-        ) from error
-    if not sound:
-        raise InputError(
-            f"{file} has a background or radius out of range; remove the scene's folder and build it again"
-        )
-    return description
-
-
-def _cloud_radius(positions: np.ndarray) -> float:
-    """Return half the diagonal of the box of the 1st to 99th percentile: real SfM clouds have far outliers.
+def _cloud_ball(positions: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the centre (3,) and half the diagonal of the box of the 1st to 99th percentile: real SfM clouds
+    have far outliers.
 
     World units.
     """
@@ -150,35 +167,4 @@ def _cloud_radius(positions: np.ndarray) -> float:
     radius = float(np.linalg.norm(high - low)) / 2
     if radius <= 0:
         raise InputError("the SfM cloud is a single point; export the COLMAP model again")
-    return radius
-
-
-def _read_image(file: Path, aspect: float, background: np.ndarray) -> np.ndarray:
-    """Return an image (3,H,W) uint8, over the background where it is transparent.
-
-    aspect: the camera's width / height, which it must have; resized copies are welcome.
-    """
-    try:
-        with Image.open(file) as opened:
-            if opened.mode in ("RGBA", "LA", "PA") or "transparency" in opened.info:
-                pixels = np.asarray(opened.convert("RGBA"), dtype=np.float32) / 255
-                pixels = pixels[..., :3] * pixels[..., 3:] + background * (1 - pixels[..., 3:])
-                pixels = np.rint(255 * pixels).astype(np.uint8)
-            elif opened.mode in ("RGB", "L", "P", "1", "CMYK", "YCbCr"):
-                pixels = np.asarray(opened.convert("RGB"))
-            else:
-                raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
-    except FileNotFoundError as error:
-        raise InputError(
-            f"no image at {file}, which the COLMAP model lists; copy the images folder too"
-        ) from error
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{file} is damaged or no image; copy it again") from error
-    height, width = pixels.shape[:2]
-    if abs(width - height * aspect) > max(1.0, aspect):
-        raise InputError(
-            f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
-        )
-    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+    return (low + high) / 2, radius

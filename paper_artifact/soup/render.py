@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from paper_artifact.raster.view import ViewRaster, make_camera
@@ -9,7 +11,7 @@ from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup
 
 
-def render_views(soup: Soup, scene: Scene, views: np.ndarray) -> np.ndarray:
+def render_views(soup: Soup, scene: Scene, views: np.ndarray | Sequence[int]) -> np.ndarray:
     """Return the soup's images (n,H,W,3) float32 in [0,1] of the scene's views (indices (n,)), rendered at
     the threshold .5."""
     height, width = scene.images.shape[2:]

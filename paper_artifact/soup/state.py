@@ -16,7 +16,8 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import atomic_path, load_npz
+from paper_artifact.files import load_npz, write_npz
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
 
@@ -88,16 +89,18 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
     return tuple(tensors)
 
 
-def save_soup(path: Path | str, soup: Soup) -> None:
+def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> None:
     """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically.
 
-    Raises InputError when the folder is not writable.
+    frame: of its coordinates, kept beside them ("offset", "exponent") where it is not the user's. Raises
+    InputError when the folder is not writable or the disk is full.
     """
     tensors = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
     tensors |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
     arrays: dict[str, Any] = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
-    with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:
-        np.savez_compressed(handle, **arrays)
+    if frame != SAME:
+        arrays |= {"offset": np.array(frame.offset), "exponent": np.array(frame.exponent)}
+    write_npz(path, arrays)
 
 
 def load_soup(path: Path | str) -> Soup:
@@ -108,7 +111,8 @@ def load_soup(path: Path | str) -> Soup:
     try:
         data = load_npz(path)
         names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
-        tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
+        with np.errstate(over="ignore", invalid="ignore"):
+            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in tensors]
@@ -118,3 +122,20 @@ def load_soup(path: Path | str) -> Soup:
     if not all(torch.isfinite(tensor).all() for tensor in tensors):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")
     return soup_of(tensors)
+
+
+def load_frame(path: Path | str) -> Frame:
+    """Return the frame of the coordinates in a soup's file that `load_soup` can read."""
+    data = load_npz(path)
+    if "offset" not in data:
+        return SAME
+    x, y, z = (float(value) for value in data["offset"])
+    return Frame((x, y, z), int(data["exponent"]))
+
+
+def reframed(soup: Soup, old: Frame, new: Frame) -> Soup:
+    """Return the soup in coordinates of the frame `new` instead of `old`; itself where they are equal."""
+    if old == new:
+        return soup
+    moved = new.inward(old.outward(soup.vertices.detach().numpy().astype(np.float64)))
+    return Soup(torch.from_numpy(np.asarray(moved, np.float32)), soup.features, soup.opacity, soup.mlp)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from statistics import mean
 
 from paper_artifact.config import RunConfig
+from paper_artifact.scene.given import called
 
 
 @dataclass(frozen=True)
@@ -91,4 +92,4 @@ class Estimate:
 
 def run_name(config: RunConfig) -> str:
     """Return "SHAPE CONDITION seed SEED"."""
-    return f"{config.shape} {config.condition} seed {config.seed}"
+    return f"{called(config)} {config.condition} seed {config.seed}"

@@ -16,16 +16,20 @@ from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.record.store import read_record, recorded_path, write_record
 from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.given import is_own, resolve
 from paper_artifact.study.estimate import Estimate, Outcome, Step, run_name
 from paper_artifact.study.worker import failure_of, start_run
 
 
 def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
-    """Return those without a record in results/runs. A damaged record raises InputError: it is never silently
-    overwritten."""
+    """Return those without a record in results/runs; one's own data are read to be known again.
+
+    A damaged record raises InputError: it is never silently overwritten.
+    """
     todo = []
     for config in configs:
-        path = recorded_path(config, results / "runs")
+        run = resolve(config).config if is_own(config) else config
+        path = recorded_path(run, results / "runs")
         if path is None:
             todo.append(config)
         else:
@@ -131,7 +135,7 @@ def sweep(
     """
     if workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}")
-    for shape in dict.fromkeys(config.shape for config in configs):
+    for shape in dict.fromkeys(config.shape for config in configs if not is_own(config)):
         find_mesh(shape)  # a mesh that cannot be had is told before any run starts
     todo = missing(configs, results)
     outcomes: list[Outcome] = []

@@ -22,9 +22,10 @@ import numpy as np
 
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
+from paper_artifact.topology.aims import aimed_otherwise
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor
 from paper_artifact.topology.loss import PlannedLoss
-from paper_artifact.topology.plan import Claims, Plan, make_plan
+from paper_artifact.topology.plan import BIRTHS, Claims, Plan, make_plan
 from paper_artifact.topology.pulls import DIAGONAL, MATCHED, NONE
 from paper_artifact.topology.statement import NAMES, SURPLUS, Statement
 
@@ -40,7 +41,8 @@ def build_betti_plan(cloud: np.ndarray, statement: Statement, config: LossConfig
     floor = measurement_floor(cloud, 1.0)
 
     def claim(dimension: int, bars: np.ndarray) -> Claims:
-        return _ranked(bars, dimension, statement.wanted[dimension], floor, config)
+        claims = _ranked(bars, dimension, statement.wanted[dimension], floor, config)
+        return claims if config.aim == "deaths" else aimed_otherwise(claims, bars, dimension, cloud, config)
 
     return make_plan(cloud, config.dimensions or (0, 1, 2), claim, floor, floor, config)
 
@@ -56,7 +58,9 @@ def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config:
     order = np.argsort(-lifetimes, kind="stable")
     first, others = order[:wanted], order[wanted:]
     chosen = first[lifetimes[first] > config.guard * floor]
-    if config.suppress == "floor" or dimension == 0:
+    if config.suppress == "none":
+        others = others[:0]
+    elif config.suppress == "floor" or dimension == 0:
         others = others[lifetimes[others] > floor]
     margins = lifetimes[order[: wanted + KEPT]] / floor
     return Claims(
@@ -64,7 +68,7 @@ def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config:
         targets=np.concatenate([np.arange(len(chosen)), np.full(len(others), NONE)]),
         kinds=np.repeat([MATCHED, DIAGONAL], [len(chosen), len(others)]),
         aims=bars[chosen] + [0.0, config.pull * floor / MULTIPLIER],
-        deaths_only=True,
+        free=BIRTHS,
         report={
             "wanted": wanted,
             "unreached": wanted - len(chosen),

@@ -75,6 +75,9 @@ class Plan:
         return loss_value(positions, self._arrays)
 
 
+BIRTHS, DEATHS = 0, 1  # columns of a bar
+
+
 @dataclass(frozen=True, eq=False)
 class Claims:
     """Which live bars of one dimension are pulled by what, n times."""
@@ -83,7 +86,7 @@ class Claims:
     targets: np.ndarray  # (n,) int64 into the target bars, NONE for the diagonal
     kinds: np.ndarray  # (n,) int64: MATCHED, RECRUITED, DIAGONAL
     aims: np.ndarray  # (m,2) float64: the target bars
-    deaths_only: bool = False  # births of target bars pull nothing
+    free: int | None = None  # BIRTHS or DEATHS: those of target bars pull nothing
     report: dict = field(default_factory=dict)  # JSON-able: what is added to the report, or replaced in it
 
 
@@ -156,9 +159,9 @@ def _plan_dimension(
     aimed = claims.kinds != DIAGONAL
     target = np.zeros((len(claims.rows), 2))
     target[aimed] = claims.aims[claims.targets[aimed]]
-    if claims.deaths_only:
-        simplices[aimed, 0] = NONE  # a birth without simplex keeps the refresh's value,
-        target[aimed, 0] = pulled.births[aimed]  # which is its target
+    if claims.free is not None:
+        simplices[aimed, claims.free] = NONE  # a coordinate without simplex keeps the refresh's value,
+        target[aimed, claims.free] = pulled.diagram[aimed, claims.free]  # which is its target
     pulls = Pulls(
         dimension=np.full(len(claims.rows), dimension),
         kind=claims.kinds,

@@ -76,26 +76,38 @@ def noise_level(config: LossConfig) -> float:
     return config.guard or NOISE_LEVEL
 
 
-def contradictions(statement: Statement, report: Mapping[str, Any], config: LossConfig) -> list[str]:
-    """Return one sentence for each way in which a refresh's report contradicts the statement.
+def unseen(statement: Statement, report: Mapping[str, Any], config: LossConfig) -> list[str]:
+    """Return one sentence for each dimension whose wanted classes do not all show yet.
 
-    report: of a plan of `betti.build_betti_plan`. Two ways: a wanted class that is not seen yet, and bars
-    beyond the stated ones longer than SURPLUS floors.
+    report: of a plan of `betti.build_betti_plan`. No contradiction: before the ramp true words are often not
+    seen either, and what is wanted is pulled out of the noise.
     """
     level, found = noise_level(config), []
     for dimension, each in ((int(key), value) for key, value in report["dimensions"].items()):
-        margins, count = each["margins"], statement.betti[dimension]
-        said = f"you said {_counted(count, dimension)}"
+        margins = each["margins"]
         seen = sum(margin > level for margin in margins[: each["wanted"]])
         if seen < each["wanted"]:
-            shown = seen + (dimension == 0) or "none"
+            said, shown = _counted(statement.betti[dimension], dimension), seen + (dimension == 0) or "none"
             found.append(
-                f"{said}; {shown} so far: the next candidate has {margins[seen]:.2f} of the floor, "
+                f"you said {said}; {shown} so far: the next candidate has {margins[seen]:.2f} of the floor, "
                 f"and below {level:g} it may be noise"
             )
+    return found
+
+
+def contradictions(statement: Statement, report: Mapping[str, Any]) -> list[str]:
+    """Return one sentence for each dimension in which a refresh's report contradicts the statement.
+
+    report: of a plan of `betti.build_betti_plan`. A contradiction is a bar beyond the stated ones that is
+    longer than SURPLUS floors.
+    """
+    found = []
+    for dimension, each in ((int(key), value) for key, value in report["dimensions"].items()):
+        margins, count = each["margins"], statement.betti[dimension]
         if each["surplus"]:
+            said, shown = _counted(count, dimension), _counted(each["surplus"], dimension)
             found.append(
-                f"{said}; the images show {_counted(each['surplus'], dimension)}{' more' if count else ''} "
+                f"you said {said}; the images show {shown}{' more' if count else ''} "
                 f"(the longest has {margins[each['wanted']]:.1f} floors), which will be filled in or cut"
             )
     return found

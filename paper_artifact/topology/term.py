@@ -27,7 +27,7 @@ from paper_artifact.topology.controls import neighbour_pairs, repulsion
 from paper_artifact.topology.plan import Plan, build_plan
 from paper_artifact.topology.samples import FrozenSamples, draw_samples, samples_stream
 from paper_artifact.topology.schedule import no_weight, peak_weight, ramp_factor
-from paper_artifact.topology.statement import Statement, contradictions
+from paper_artifact.topology.statement import Statement, contradictions, unseen
 
 DENSER_ROUNDS, DENSER_PER_TRIANGLE = (
     3,
@@ -48,11 +48,11 @@ class TopologyTerm:
     """One condition's additive term during a run of `steps` steps.
 
     lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
-    "refresh"), one for λ ("event": "lambda"), one per step on which the calibration was a no-op ("event":
+    "refresh"), one for λ ("event": "lambda"), one per plan at which the calibration was a no-op ("event":
     "no-op", "reason"), and for a statement in words its audit at the first refresh, before any gradient
-    ("event": "audit", "warnings"). target: a Statement for the kind "betti", else a bundle. tell: is called
-    with each warning; strict: a warning is an InputError. Raises InputError when the target's density is not
-    the loss's.
+    ("event": "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a Statement
+    for the kind "betti", else a bundle. tell: is called with each warning and note; strict: a warning is an
+    InputError. Raises InputError when the target's density is not the loss's.
     """
 
     def __init__(
@@ -107,7 +107,8 @@ class TopologyTerm:
         self._refreshed, self._resampled = step, False
         self.log.append({"event": "refresh", "step": step, **self._objective.report})
         if isinstance(self.target, Statement) and not any(each["event"] == "audit" for each in self.log):
-            self._audit(step, contradictions(self.target, self._objective.report, self.config))
+            report = self._objective.report
+            self._audit(step, contradictions(self.target, report), unseen(self.target, report, self.config))
         return True
 
     def value(
@@ -143,13 +144,16 @@ class TopologyTerm:
         self.lambda_peak, self.log = state["lambda_peak"], list(state["log"])
         self._objective = None
 
-    def _audit(self, step: int, warnings: list[str]) -> None:
-        """Log and tell what contradicts the statement; raise InputError when strict."""
-        self.log.append({"event": "audit", "step": step, "warnings": warnings})
+    def _audit(self, step: int, warnings: list[str], notes: list[str]) -> None:
+        """Log and tell what contradicts the statement and what does not show yet.
+
+        Raises InputError for a contradiction when strict.
+        """
+        self.log.append({"event": "audit", "step": step, "warnings": warnings, "notes": notes})
         if warnings and self.strict:
             raise InputError(f"strict, and at step {step} the images contradict the words: {warnings[0]}")
         if self.tell is not None:
-            for each in warnings:
+            for each in (*warnings, *notes):
                 self.tell(f"step {step}: {each}")
 
     def _calibrated(
@@ -169,7 +173,8 @@ class TopologyTerm:
         peak = peak_weight(self.config.rho, photo_norm, topo_norm)
         if peak is None:
             reason = no_weight(self.config.rho, photo_norm, topo_norm)
-            self.log.append({"event": "no-op", "step": step, "reason": reason})
+            if self.log[-1]["event"] != "no-op":
+                self.log.append({"event": "no-op", "step": step, "reason": reason})
         else:
             norms = {"rho": self.config.rho, "photo_norm": photo_norm, "topo_norm": topo_norm}
             self.log.append({"event": "lambda", "step": step, "lambda_peak": peak, **norms})

@@ -1,0 +1,157 @@
+"""A trained soup as a closed, certified, coloured mesh, by the smallest offset of the wanted topology."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from trimesh.exchange.gltf import export_glb
+from trimesh.exchange.ply import export_ply
+
+from paper_artifact.certify.certificate import Certificate, certify_mesh
+from paper_artifact.errors import InputError
+from paper_artifact.evaluate.geometry import point_distances
+from paper_artifact.export.models import srgb_to_linear, unlit
+from paper_artifact.export.triangles import THRESHOLD, Triangles, soup_triangles
+from paper_artifact.ingest.offsets import OFFSETS, Rung, Wanted, climb, plateau, shells, wanted_of
+from paper_artifact.ingest.retract import retract
+from paper_artifact.ingest.solidify import CELLS
+from paper_artifact.ingest.write import write_certified
+from paper_artifact.mesh import Mesh, checked_mesh
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
+from paper_artifact.soup.state import Soup
+
+FORMATS = (".ply", ".glb")
+SAMPLES = 20_000  # per surface, as an evaluation has
+
+
+@dataclass(frozen=True, eq=False)
+class SoupSolid:
+    """What came of a soup: the rungs that were tried, and the solid where one of them is as wanted."""
+
+    rungs: tuple[Rung, ...]  # smallest offset first
+    wanted: Wanted
+    stated: bool  # whether somebody wanted it; False: it is the plateau of the rungs
+    diagonal: float  # D of the opaque soup, world units; offsets are fractions of it
+    rung: Rung | None = None  # the one taken; None: no offset gives the wanted topology
+    mesh: Mesh | None = None  # the solid, world units, wound outwards
+    colours: np.ndarray | None = None  # (V,3) float32 sRGB in [0,1]
+    moved: np.ndarray | None = None  # (V,) float64 share of the way back to the soup
+    # triangles that may meet another; 0: none does; None: not looked for
+    crossings: int | None = None
+    certificate: Certificate | None = None  # of `mesh`
+
+    def to_json(self) -> dict:
+        """Return a JSON-able dict: wanted, every rung, and of the solid ε, certificate and checks."""
+        found = {}
+        if self.rung is not None and self.certificate is not None and self.moved is not None:
+            found = {
+                "offset": self.rung.offset,
+                "epsilon": self.rung.offset * self.diagonal,
+                "crossing_triangles": self.crossings,
+                "moved_back": float(self.moved.mean()),
+                "certificate": self.certificate.to_json(),
+            }
+        return {
+            "wanted": list(self.wanted.betti),
+            "body": self.wanted.body,
+            "stated": self.stated,
+            "diagonal": self.diagonal,
+            "offsets": [rung.to_json() for rung in self.rungs],
+            "solid": found or None,
+        }
+
+
+def opaque_mesh(triangles: Triangles, name: str = "soup", threshold: float = THRESHOLD) -> Mesh:
+    """Return the triangles of at least this mean opacity as an unwelded Mesh, corners in their order; raises
+    InputError as `Triangles.visible` and `checked_mesh` do."""
+    corners = triangles.visible(threshold).vertices.astype(np.float64).reshape(-1, 3)
+    return checked_mesh(corners, np.arange(len(corners)).reshape(-1, 3), name, welded=False)
+
+
+def solidify_soup(
+    soup: Soup,
+    betti: Sequence[int] | None = None,
+    offsets: Iterable[float] = OFFSETS,
+    cells: float = CELLS,
+    name: str = "soup",
+    progress: Callable[[Rung], None] | None = None,
+    enough: Callable[[Sequence[Rung]], bool] | None = None,
+) -> SoupSolid:
+    """Return the SoupSolid of a trained soup.
+
+    betti: of the surface, see `wanted_of`; None takes the plateau. offsets: fractions of the opaque soup's
+    diagonal; cells: grid cells per offset; progress, enough: see `climb`. Raises InputError for
+    what cannot be wanted, bad offsets, and as `opaque_mesh` does.
+    """
+    wanted = None if betti is None else wanted_of(betti)
+    shown = soup_triangles(soup).visible()
+    raw = opaque_mesh(shown, name)
+    rungs = climb(raw, offsets, cells, progress, enough)
+    if wanted is None:
+        longest = plateau(rungs)
+        body = any(rung.meets(Wanted(longest, True)) for rung in rungs)
+        result = SoupSolid(rungs, Wanted(longest, body), False, raw.diagonal)
+    else:
+        result = SoupSolid(rungs, wanted, True, raw.diagonal)
+    for rung, shell in shells(raw, rungs, result.wanted, cells):
+        back = retract(shell, raw.vertices[raw.faces], rung.offset * raw.diagonal * (1 + 1 / cells))
+        certificate = certify_mesh(back.mesh)
+        if not (certificate.passed and certificate.betti == rung.betti):
+            back = replace(back, mesh=shell, moved=np.zeros(len(shell.vertices)), crossings=None)
+            certificate = certify_mesh(shell)
+        if not (certificate.passed and certificate.betti == rung.betti):
+            continue
+        colours = np.einsum("ij,ijk->ik", back.nearest.weights, shown.colours[back.nearest.triangle])
+        return replace(
+            result,
+            rung=rung,
+            mesh=replace(back.mesh, name=f"{name} solid", betti=certificate.betti),
+            colours=colours.astype(np.float32),
+            moved=back.moved,
+            crossings=back.crossings,
+            certificate=certificate,
+        )
+    return result
+
+
+def check_format(path: Path | str) -> None:
+    """Raise InputError unless the path ends in .ply or .glb."""
+    if Path(path).suffix.lower() not in FORMATS:
+        raise InputError(f"cannot write a solid as {path}: its name must end in {' or '.join(FORMATS)}")
+
+
+def write_solid(path: Path | str, solid: SoupSolid) -> Certificate:
+    """Write the solid as binary PLY (sRGB bytes per vertex) or binary glTF 2.0 (unlit, COLOR_0 linear);
+    return the certificate of what was written. Raises InputError as `write_certified` does, and when there is
+    no solid."""
+    check_format(path)
+    if solid.mesh is None or solid.colours is None:
+        raise InputError(f"no offset gave the wanted topology, so there is no solid to write as {path}")
+    glb = Path(path).suffix.lower() == ".glb"
+    colours = srgb_to_linear(solid.colours) if glb else solid.colours
+    mesh = trimesh.Trimesh(
+        solid.mesh.vertices,
+        solid.mesh.faces,
+        vertex_colors=np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8),
+        process=False,
+    )
+    if glb:
+        data = export_glb(mesh.scene(), include_normals=False, tree_postprocessor=unlit)
+    else:
+        data = export_ply(mesh, vertex_normal=False)
+    return write_certified(path, solid.mesh, data)
+
+
+def distances_to(solid: Mesh, target: Mesh, samples: int = SAMPLES, seed: int = 0) -> dict[str, float]:
+    """Return chamfer, chamfer_sum and hausdorff95 (see `point_distances`) of area-weighted samples of both,
+    divided by the target's diagonal."""
+    clouds = [
+        sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, f"solid: {purpose}"))[0]
+        for mesh, purpose in ((solid, "solid"), (target, "target"))
+    ]
+    return point_distances(clouds[0], clouds[1], target.diagonal)

@@ -1,0 +1,122 @@
+"""Does a triangle mesh cross itself? Every edge against every triangle that it shares no corner with.
+
+Two triangles that cross have an edge of one that meets the other. A pair counts as apart only when a sign
+proves it, by float64 determinants beyond their error bound (Shewchuk 1997): a mesh without a count has no
+crossing; one with a count may merely touch. Neighbours folded flat onto each other are counted too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from paper_artifact.alpha.predicates import orient3d_filter
+from paper_artifact.certify.simplices import edges_of
+from paper_artifact.ingest.boxes import Boxes, cells_of, file_boxes
+from paper_artifact.kernel_cache import njit
+
+FLAT_BOUND = 1e-15  # above (3 + 16 u) u for the two-dimensional determinant, u = 2^-53
+
+
+def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return (F,) bool: the faces (F,3) int64 that may meet another one beyond what they share.
+
+    vertices (V,3) float64. A face with an edge that meets another face is marked, and so is that other one.
+    """
+    # A power of two scales exactly and keeps the determinants away from the ends of double precision.
+    scale = 2.0 ** -np.ceil(np.log2(max(float(np.abs(vertices).max()), 1e-300)))
+    points = np.ascontiguousarray(vertices, dtype=np.float64) * scale
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    edges, face_edges = edges_of(faces, len(points))
+    edges = np.ascontiguousarray(edges, dtype=np.int64)
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    boxes = file_boxes(points[faces], 1.5 * float(np.median(lengths)))
+    meets, met = _meetings(points, faces, edges, boxes)
+    return met | meets[face_edges].any(axis=1) | _folded(points, faces, face_edges, len(edges))
+
+
+def _folded(points: np.ndarray, faces: np.ndarray, face_edges: np.ndarray, count: int) -> np.ndarray:
+    """Return (F,) bool: faces that lie flat on a neighbour (normals opposite to rounding)."""
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    order = np.argsort(face_edges.reshape(-1), kind="stable")
+    degree = np.bincount(face_edges.reshape(-1), minlength=count)
+    first = (np.cumsum(degree) - degree)[degree == 2]
+    left, right = order[first] // 3, order[first + 1] // 3
+    flat = (normal[left] * normal[right]).sum(axis=1) <= -(1 - 1e-12) * length[left] * length[right]
+    result = np.zeros(len(faces), dtype=bool)
+    result[left[flat]] = result[right[flat]] = True
+    return result
+
+
+@njit(cache=True)
+def _meetings(points, faces, edges, boxes: Boxes):
+    """Return (E,) bool edges that meet a face, and (F,) bool faces that an edge meets."""
+    meets, met = np.zeros(len(edges), np.bool_), np.zeros(len(faces), np.bool_)
+    for edge in range(len(edges)):
+        p, q = edges[edge, 0], edges[edge, 1]
+        low, high = np.minimum(points[p], points[q]), np.maximum(points[p], points[q])
+        first, last = cells_of(low, high, boxes.origin, boxes.cell, boxes.shape)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    place = (i * boxes.shape[1] + j) * boxes.shape[2] + k
+                    for n in range(boxes.start[place], boxes.start[place + 1]):
+                        face = boxes.items[n]
+                        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+                        if p in (a, b, c) or q in (a, b, c):
+                            continue
+                        if (
+                            boxes.low[face, 0] > high[0]
+                            or boxes.high[face, 0] < low[0]
+                            or boxes.low[face, 1] > high[1]
+                            or boxes.high[face, 1] < low[1]
+                            or boxes.low[face, 2] > high[2]
+                            or boxes.high[face, 2] < low[2]
+                        ):
+                            continue
+                        if not _apart(points, p, q, a, b, c):
+                            meets[edge] = met[face] = True
+    return meets, met
+
+
+@njit(cache=True)
+def _sign(points, a, b, c, d):
+    value, bound = orient3d_filter(points, a, b, c, d)
+    return 1 if value > bound else (-1 if value < -bound else 0)
+
+
+@njit(cache=True)
+def _apart(points, p, q, a, b, c):
+    """Whether signs prove that segment pq does not meet triangle abc."""
+    sp, sq = _sign(points, a, b, c, p), _sign(points, a, b, c, q)
+    if sp != 0 and sp == sq:
+        return True
+    if sp == 0 and sq == 0:
+        return _apart_in_plane(points, p, q, a, b, c)
+    ab, bc, ca = _sign(points, p, q, a, b), _sign(points, p, q, b, c), _sign(points, p, q, c, a)
+    return max(ab, bc, ca) == 1 and min(ab, bc, ca) == -1
+
+
+@njit(cache=True)
+def _apart_in_plane(points, p, q, a, b, c):
+    """The same for five points in a plane: a line along one of the four sides separates them, seen along some
+    axis."""
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for x, y, z in ((a, b, c), (b, c, a), (c, a, b)):
+            side = _turn(points, u, v, x, y, z)
+            if side != 0 and _turn(points, u, v, x, y, p) == -side and _turn(points, u, v, x, y, q) == -side:
+                return True
+        side = _turn(points, u, v, p, q, a)
+        if side != 0 and _turn(points, u, v, p, q, b) == side and _turn(points, u, v, p, q, c) == side:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _turn(points, u, v, a, b, c):
+    left = (points[a, u] - points[c, u]) * (points[b, v] - points[c, v])
+    right = (points[a, v] - points[c, v]) * (points[b, u] - points[c, u])
+    bound = FLAT_BOUND * (abs(left) + abs(right))
+    return 1 if left - right > bound else (-1 if left - right < -bound else 0)

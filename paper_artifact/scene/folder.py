@@ -1,0 +1,122 @@
+"""A scene's folder: where its parts are, what scene.json says of it, and the digest of what it holds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import inside, load_json
+from paper_artifact.scene.colmap import FARTHEST, FILES, read_model
+from paper_artifact.scene.images import mask_of, read_file
+
+DESCRIPTION = "scene.json"
+GROUND_TRUTH = "ground_truth.npz"
+UNDISTORTED = "dense"  # what COLMAP and pycolmap call the folder of the undistorted photographs
+
+
+def scene_root(path: Path | str) -> Path:
+    """Return the folder that holds `images/` and the sparse model, of what people give for it, resolved.
+
+    The folder itself; the one above, for its sparse/, sparse/0 or images; and dense/ in it, COLMAP's name for
+    the undistorted photographs, whose own camera models could not be read. Raises InputError when there is no
+    such folder.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")
+    path = path.resolve()
+    above = [path, path.parent] if path.name in ("sparse", "images") else [path]
+    if path.parent.name == "sparse":
+        above.append(path.parent.parent)
+    for folder in above:
+        for each in (folder / UNDISTORTED, folder):
+            if (each / "images").is_dir() and (each / "sparse").is_dir():
+                return each
+    return path
+
+
+def model_folder(root: Path) -> Path:
+    """Return the folder of the sparse model: sparse/0, or sparse/ itself where there is no such folder."""
+    first = inside(root, "sparse/0")
+    return first if first.is_dir() else inside(root, "sparse")
+
+
+def scene_name(root: Path) -> str:
+    """Return what a scene is called: its folder's name, or that of the one above for COLMAP's dense/."""
+    return (root.parent.name if root.name == UNDISTORTED else root.name) or "scene"
+
+
+def read_description(root: Path) -> dict:
+    """Return what scene.json says, {} where there is none.
+
+    Raises InputError unless it is sound: background [r, g, b] in [0,1] and radius > 0.
+    """
+    file = inside(root, DESCRIPTION)
+    if not file.is_file():
+        return {}
+    try:
+        description = load_json(file)
+        background = np.array(description["background"], dtype=np.float64)
+        sound = (
+            background.shape == (3,)
+            and background.min() >= 0
+            and background.max() <= 1
+            and 0 < description["radius"] < FARTHEST
+            and isinstance(description.get("files", {}), dict)
+        )
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+        raise InputError(
+            f"{file} is damaged ({error}); remove the scene's folder and build it again"
+        ) from error
+    if not sound:
+        raise InputError(
+            f"{file} has a background or radius out of range; remove the scene's folder and build it again"
+        )
+    return description
+
+
+def held_files(root: Path) -> dict[str, str]:
+    """Return {path within the folder: sha256 (hex)} of all files of a scene that is being built."""
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    return {path.relative_to(root).as_posix(): sha256_of(path.read_bytes()) for path in files}
+
+
+def check_files(root: Path, description: dict) -> None:
+    """Raise InputError when a file of a built scene is not what scene.json ("files") says of it; scenes of
+    others, and of older versions, say nothing."""
+    for name, expected in description.get("files", {}).items():
+        file = inside(root, name)
+        if file.is_file() and sha256_of(file.read_bytes()) != expected:
+            raise InputError(
+                f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
+                f'scene and build it again, or, if it was changed on purpose, "files" in {DESCRIPTION}'
+            )
+
+
+def scene_digest(root: Path) -> str:
+    """Return the sha256 (hex) of all that a run takes from a scene's folder: model, photographs, masks, and
+    background, radius and held-out rule of scene.json; not where it lies or what it is called.
+
+    Raises InputError as `read_model` and `read_file` do.
+    """
+    folder = model_folder(root)
+    names = sorted(pose.name for pose in read_model(folder).images.values())
+    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    held = {f"model/{name}": sha256_of((folder / (name + suffix)).read_bytes()) for name in FILES}
+    for name in names:
+        held[f"images/{name}"] = sha256_of(read_file(inside(root, f"images/{name}")))
+        if (mask := mask_of(root, name)) is not None:
+            held[f"masks/{name}"] = sha256_of(read_file(mask))
+    description = read_description(root)
+    said = {key: description.get(key) for key in ("background", "radius", "holdout")}
+    said["own"] = "key" in description
+    return sha256_of(json.dumps([held, said], sort_keys=True).encode())
+
+
+def sha256_of(data: bytes) -> str:
+    """Return the sha256 (hex) of `data`."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,130 @@
+"""Photographs from disk: pixels, transparency and masks, one file at a time, 8 bit a value."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import inside
+
+TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
+MOST_PIXELS = 2**27  # of one image: 134 million, more than any camera gives
+
+
+class Pixels(NamedTuple):
+    """One picture as its file has it."""
+
+    colours: np.ndarray  # (H,W,3) uint8
+    alpha: np.ndarray | None  # (H,W) uint8, 255 opaque; None: all of it is
+
+
+def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None) -> Pixels:
+    """Return the picture in `data`, the content of `file`, with its transparency.
+
+    aspect: the camera's width / height, which it must have; resized copies are welcome. mask: an image of the
+    same size, white where the picture counts and black where it does not, grey in between. Raises InputError
+    for what is no 8-bit image, another aspect, or a mask of another size.
+    """
+    picture = _opened(data, file)
+    if picture.mode in TRANSPARENT or "transparency" in picture.info:
+        both = np.asarray(picture.convert("RGBA"))
+        colours, alpha = both[..., :3], both[..., 3]
+    else:
+        colours, alpha = np.asarray(picture.convert("RGB")), None
+    height, width = colours.shape[:2]
+    if abs(width - height * aspect) > max(1.0, aspect):
+        raise InputError(
+            f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
+        )
+    if mask is not None:
+        kept = np.asarray(_opened(mask.read_bytes(), mask).convert("L"))
+        if kept.shape != colours.shape[:2]:
+            raise InputError(
+                f"the mask {mask} has {kept.shape[1]}×{kept.shape[0]} pixels, its photograph "
+                f"{width}×{height}; bring them to one size"
+            )
+        whole = np.uint16(255) if alpha is None else alpha.astype(np.uint16)
+        alpha = (kept * whole // 255).astype(np.uint8)
+    return Pixels(colours, alpha)
+
+
+def composited(pixels: Pixels, background: np.ndarray, downscale: float = 1.0) -> np.ndarray:
+    """Return the picture (3,H,W) uint8 over the colour `background` (3,) in [0,1], smaller by `downscale`.
+
+    A smaller picture's pixel is the mean over its area.
+    """
+    colours = pixels.colours
+    if pixels.alpha is not None:
+        part = pixels.alpha[..., None].astype(np.float32) / 255
+        over = colours.astype(np.float32) / 255 * part + background * (1 - part)
+        colours = np.rint(255 * over).astype(np.uint8)
+    if downscale != 1:
+        height, width = smaller(colours.shape[:2], downscale)
+        colours = np.asarray(Image.fromarray(colours).resize((width, height), Image.Resampling.BOX))
+    return np.ascontiguousarray(colours.transpose(2, 0, 1))
+
+
+def smaller(size: tuple[int, ...], downscale: float) -> tuple[int, int]:
+    """Return (height, width) in pixels of an image of `size` (height, width) made smaller by `downscale`."""
+    height, width = (max(1, round(side / downscale)) for side in size)
+    return height, width
+
+
+def mask_of(folder: Path, name: str) -> Path | None:
+    """Return the mask of the image `name` in folder/masks: the same name, or it and .png (as COLMAP has it),
+    or .png in the place of its ending; None where there is no such folder.
+
+    Raises InputError when the folder has no mask for the image.
+    """
+    masks = folder / "masks"
+    if not masks.is_dir():
+        return None
+    for each in (name, f"{name}.png", str(Path(name).with_suffix(".png"))):
+        if (mask := inside(folder, f"masks/{each}")).is_file():
+            return mask
+    raise InputError(
+        f"{masks} has no mask for {name} ({name}.png would be one); add it, white where the photograph "
+        "counts, or move the folder away"
+    )
+
+
+def read_file(file: Path) -> bytes:
+    """Return the bytes of an image file. Raises InputError when it is not there or cannot be read."""
+    try:
+        return file.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(
+            f"no image at {file}, which the COLMAP model lists; copy the images folder too"
+        ) from error
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
+
+
+def _opened(data: bytes, file: Path) -> Image.Image:
+    """Return the decoded picture; InputError when it is damaged or deeper than 8 bit."""
+    try:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as opened,
+        ):
+            width, height = opened.size
+            if width * height > MOST_PIXELS:
+                raise InputError(
+                    f"{file} has {width}×{height} pixels, too many to be a photograph; scale it down"
+                )
+            if opened.mode not in TRANSPARENT + OPAQUE:
+                raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
+            opened.load()
+            return opened.copy()
+    except InputError:
+        raise
+    except Exception as error:  # PIL's decoders raise whatever their decoding meets
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"{file} is damaged or no image ({reason}); copy it again") from error

@@ -1,0 +1,293 @@
+"""One's own scene folder: what is read of it, and trained, evaluated, exported and swept without a ground
+truth."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from paper_artifact import cli
+from paper_artifact.catalogue import study_config
+from paper_artifact.config import GivenConfig
+from paper_artifact.errors import InputError
+from paper_artifact.files import OWN, RESULTS
+from paper_artifact.pipeline import remarks, results_of, run
+from paper_artifact.record.store import find_records, recorded_path
+from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.colmap import read_model
+from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
+from paper_artifact.scene.given import resolve
+from paper_artifact.scene.holdout import held_out
+from paper_artifact.scene.load import load_scene
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.study.studies import STUDIES, Block
+from paper_artifact.topology.bundle import build_from_mesh
+
+SMALL = [
+    "--steps=24",
+    "--set=budget=150",
+    "--set=samples=400",
+    "--set=resample_every=8",
+    "--set=dump_steps=24",
+]
+QUIET = ["--quiet", "--device=cpu"]
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """A folder as pycolmap leaves it: dense/ with images and a model, no scene.json, no ground truth."""
+    folder = tmp_path_factory.mktemp("photos") / "castle" / "dense"
+    config = SceneConfig(views=11, size=44, supersample=2, points=400)
+    build_scene(make_shape("sphere"), config, folder)
+    (folder / "scene.json").unlink()
+    (folder / "ground_truth.npz").unlink()
+    return folder
+
+
+@pytest.fixture
+def own(photographs, tmp_path):
+    """A copy that a test may change."""
+    return Path(shutil.copytree(photographs, tmp_path / "castle" / "dense"))
+
+
+def train(folder, results, *more):
+    """Return the record of a small run from the command line."""
+    before = set((results / "runs").glob("*.json"))
+    assert cli.main(["train", "--scene", str(folder), *QUIET, *SMALL, f"--results={results}", *more]) == 0
+    (path,) = set((results / "runs").glob("*.json")) - before
+    return next(record for record in find_records(results / "runs") if record["digest"] in path.read_text())
+
+
+def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_truth(
+    photographs, tmp_path, capsys
+):
+    record = train(photographs, tmp_path)
+    printed = capsys.readouterr()
+    assert "1 void (" in printed.out and "held-out PSNR" in printed.out and "Chamfer" not in printed.out
+    assert printed.err.count("the SfM cloud has 400 points: it starts from 400") == 1
+    assert record["soup"]["resamplings"][0]["before"] == 400
+    assert "mesh" not in record and "bottleneck" not in record["tails"] and "frame" not in record
+    (dump,) = record["dumps"]
+    longest = dump["bars"][2][0]
+    assert dump["margins"][2][0] == pytest.approx((longest[1] - longest[0]) / dump["floor"], rel=1e-4)
+    assert record["config"]["shape"] == "castle"
+    assert record["config"]["given"]["digest"] == scene_digest(photographs)
+    assert record["scene"]["views"] == 11 and len(record["scene"]["holdout"]) == 1
+    (file,) = (tmp_path / "runs").iterdir()
+    for private in (str(photographs), str(photographs.parent.parent), str(Path.home())):
+        assert private not in file.read_text()
+    soup = tmp_path / "soups" / f"{file.stem}.npz"
+    out = tmp_path / "scores.json"
+    words = ["evaluate", str(soup), "--scene", str(photographs), "--samples=400"]
+    assert cli.main([*words, f"--json={out}"]) == 0
+    scores = json.loads(out.read_text())
+    assert scores["images"]["psnr"] == pytest.approx(record["images"]["psnr"], abs=1e-3)
+    assert scores["images"]["of"] == "held-out" and len(scores["margins"]) == 3
+    assert "held-out views: PSNR" in capsys.readouterr().out
+    assert cli.main([*words, "--holdout=none"]) == 0
+    assert "training views: PSNR" in capsys.readouterr().out
+    assert cli.main([*words[:2]]) == 1 and "give --target" in capsys.readouterr().err
+    assert cli.main(["export", str(soup), "--scene", str(photographs), f"--out={tmp_path / 'x'}"]) == 0
+    assert {path.suffix for path in (tmp_path / "x").iterdir()} == {".ply", ".glb", ".png", ".html"}
+
+
+def test_a_path_spelled_differently_or_a_moved_folder_is_the_same_run(own, tmp_path, monkeypatch, capsys):
+    results = tmp_path / "r"
+    first = train(own, results)
+    monkeypatch.chdir(own.parent)
+    monkeypatch.setattr("paper_artifact.pipeline.train", None)  # calling it would fail
+    for spelling in (own, "dense", "./dense/../dense/sparse/0", own / "sparse", own / "images", "."):
+        assert cli.main(["train", "--scene", str(spelling), *QUIET, *SMALL, f"--results={results}"]) == 0
+    own.parent.rename(tmp_path / "chateau")
+    again = ["train", "--scene", str(tmp_path / "chateau"), *QUIET, *SMALL, f"--results={results}"]
+    assert cli.main(again) == 0 and first["config_hash"] in capsys.readouterr().out
+    assert len(find_records(results / "runs")) == 1
+    # Another picture is another run.
+    config = study_config(str(tmp_path / "chateau"), steps=24)
+    before = resolve(config).config
+    image = tmp_path / "chateau" / "dense" / "images" / "view_004.png"
+    Image.new("RGB", (44, 44)).save(image)
+    assert resolve(config).config != before
+    assert recorded_path(resolve(config).config, results / "runs") is None
+
+
+def test_a_mesh_file_is_named_by_its_content_too(tmp_path, monkeypatch):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    (tmp_path / "a").mkdir()
+    ball.export(tmp_path / "a" / "ball.ply")
+    monkeypatch.chdir(tmp_path)
+    paths = ("a/ball.ply", str(tmp_path / "a" / "ball.ply"))
+    first, second = (resolve(study_config(path)).config for path in paths)
+    assert first == second and first.shape == "ball.ply" and first.given.digest
+    (tmp_path / "spot").mkdir()  # a name of the study stays one
+    assert results_of(study_config("spot")) == RESULTS and results_of(study_config("a/ball.ply")) == OWN
+    assert results_of(first) == OWN
+    trimesh.creation.icosphere(subdivisions=2, radius=2).export(tmp_path / "a" / "ball.ply")
+    assert resolve(study_config("a/ball.ply")).config != first
+    with pytest.raises(InputError, match="does not know where ball.ply lies"):
+        resolve(first)
+
+
+def test_the_run_resumes_from_its_checkpoint_to_the_same_bits(photographs, tmp_path):
+    config = study_config(
+        str(photographs), steps=24, budget=150, samples=400, resample_every=8, dump_steps=(24,)
+    )
+    whole = run(config, results=tmp_path / "a", device="cpu")
+
+    def stop(step, text):
+        if step == 18:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(config, results=tmp_path / "b", device="cpu", progress=stop)
+    resumed = run(config, results=tmp_path / "b", device="cpu")
+    assert resumed["resumed_at"] == 16 and resumed["losses"] == whole["losses"]
+    assert resumed["dumps"] == whole["dumps"] and resumed["images"] == whole["images"]
+
+
+def test_words_and_targets(photographs, tmp_path, capsys):
+    sphere = make_shape("sphere")
+    bundle = tmp_path / "bundle.json"
+    build_from_mesh(sphere.vertices, sphere.faces, 512, dimensions=(2,)).save(bundle)
+    ball = tmp_path / "ball.ply"
+    trimesh.Trimesh(sphere.vertices, sphere.faces).export(ball)
+    record = train(photographs, tmp_path, "--condition=T1", "--betti=1,0,1", "--loss=samples=512")
+    assert record["statement"]["betti"] == [1, 0, 1] and "mesh" not in record
+    record = train(photographs, tmp_path, "--condition=C1", f"--target={bundle}")
+    assert record["bundle"]["samples"] == 512 and record["config"]["loss"]["samples"] == 512
+    assert record["config"]["loss"]["dimensions"] == [2] and "mesh" not in record
+    assert [event["event"] for event in record["topology"]].count("lambda") == 1
+    record = train(photographs, tmp_path, "--condition=C2", f"--target={ball}", "--loss=samples=512")
+    assert record["mesh"]["name"] == "ball" and record["tails"]["chamfer"] > 0
+    assert str(ball) not in json.dumps(record)
+    capsys.readouterr()
+    assert cli.main(["train", "--scene", str(photographs), *QUIET, "--condition=C1"]) == 1
+    assert "which photographs do not bring: give --target" in capsys.readouterr().err
+    given = resolve(study_config(str(photographs)))
+    big = replace(build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,)))
+    (_, scale) = remarks(given.config, load_scene(given.folder), big)
+    assert "the target's diagonal is 9" in scale or "times the SfM cloud's" in scale
+
+
+def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path, monkeypatch, capsys):
+    words = ["sweep", "--scene", str(photographs), "--quiet", *SMALL, f"--results={tmp_path}"]
+    words += ["--condition=C0", "--condition=T1", "--betti=1,0,1", "--seed=0", "--seed=1"]
+    assert cli.main([*words, "--list"]) == 0
+    assert "missing: castle T1 seed 1" in capsys.readouterr().out
+    assert cli.main([*words[:-4], "--seed=1"]) == 0
+    assert "1 runs done" in capsys.readouterr().out
+    assert cli.main([*words[:-4], "--seed=1", "--list"]) == 0
+    assert "1 of 1 runs recorded" in capsys.readouterr().out
+    block = Block((str(photographs),), ("C0",), range(1, 2))
+    monkeypatch.setitem(STUDIES, "mine", (block,))
+    assert cli.main(["sweep", "mine", "--list", f"--results={tmp_path}"]) == 0
+    assert "0 of 1 runs recorded" in capsys.readouterr().out  # of 2,500 steps, not of 24
+    for wrong in (["sweep"], ["sweep", "table1", "--steps=3"], [*words, "--shape=torus"]):
+        assert cli.main(wrong) == 1
+    assert "leave it out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--downscale=0.5"], "downscale must be at least 1"),
+        (["--downscale=4"], "at least 22 a side are needed"),
+        (["--background=pink"], "unknown background 'pink'"),
+        (["--holdout=a.jpg"], "no view is called a.jpg"),
+        (["--holdout=1"], "leaves no view to train on"),
+        (["--set=views=3"], "views would change scenes that are rendered from a mesh"),
+        (["--target=none.obj"], "no mesh file at none.obj"),
+        (["--target=none.json"], "cannot read the bundle none.json"),
+        (["sphere"], "give either a shape"),
+    ],
+)
+def test_bad_options_are_one_sentence(photographs, arguments, words, tmp_path, capsys):
+    assert cli.main(["train", "--scene", str(photographs), *QUIET, f"--results={tmp_path}", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1
+
+
+def test_options_of_a_scene_belong_to_a_scene(capsys):
+    for option in ("--downscale=2", "--holdout=4", "--target=a.obj"):
+        assert cli.main(["train", "sphere", *QUIET, option]) == 1
+        assert "--scene DIR" in capsys.readouterr().err
+    assert cli.main(["train", *QUIET]) == 1 and "give either" in capsys.readouterr().err
+
+
+def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
+    plain = load_scene(own)
+    small = load_scene(own, downscale=2)
+    assert small.images.shape == (11, 3, 22, 22) and small.images.dtype == np.uint8
+    mean = plain.images.reshape(11, 3, 22, 2, 22, 2).mean(axis=(3, 5))
+    assert np.abs(small.images - mean).max() <= 1
+    np.testing.assert_array_equal(small.world_to_clip, plain.world_to_clip)
+    average = load_scene(own, background="mean").background
+    np.testing.assert_allclose(average, plain.colours(plain.train).mean(axis=(0, 1, 2)), atol=1e-6)
+    (own / "masks").mkdir()
+    mask = np.zeros((44, 44), np.uint8)
+    mask[:, :22] = 255
+    for place, name in enumerate(plain.names):
+        Image.fromarray(mask).save(own / "masks" / (name if place % 2 else f"{name}.png"))
+    masked = load_scene(own, background="#0080ff")
+    np.testing.assert_array_equal(masked.images[..., :22], plain.images[..., :22])
+    assert (masked.images[..., 22:] == np.array([0, 128, 255])[:, None, None]).all()
+    half = load_scene(own, background="mean").background
+    np.testing.assert_allclose(half, plain.colours(plain.train)[:, :, :22].mean(axis=(0, 1, 2)), atol=1e-6)
+    assert scene_digest(own) != scene_digest_without_masks(own)
+    (own / "masks" / plain.names[3]).unlink()
+    with pytest.raises(InputError, match="has no mask for view_003.png"):
+        load_scene(own)
+    Image.new("L", (9, 9)).save(own / "masks" / plain.names[3])
+    with pytest.raises(InputError, match="9×9 pixels, its photograph 44×44"):
+        load_scene(own)
+
+
+def scene_digest_without_masks(folder):
+    (folder / "masks").rename(folder / "unused")
+    digest = scene_digest(folder)
+    (folder / "unused").rename(folder / "masks")
+    return digest
+
+
+def test_which_views_are_held_out(photographs):
+    names = [f"{index:02d}.jpg" for index in range(11)]
+    # A walk: eleven steps, the first far from all others.
+    walk = np.column_stack([np.arange(11.0), np.zeros(11), np.zeros(11)])
+    walk[0] = [-50, 0, 0]
+    assert held_out("auto", names, walk).tolist() == [5]
+    assert held_out("auto", names + names[:5], np.vstack([walk, walk[6:] + 5])).size == 2
+    assert held_out("auto", names[:2], walk[:2]).tolist() == [1]
+    assert held_out("none", names, walk).tolist() == []
+    assert held_out("4", names, walk).tolist() == [0, 4, 8]
+    assert held_out("07.jpg, 02.jpg", names, walk).tolist() == [2, 7]
+    scene = load_scene(photographs, holdout="none")
+    assert len(scene.train) == 11
+
+
+def test_the_folder_is_found_by_what_people_give(own, tmp_path):
+    for given in (own, own / "sparse", own / "sparse" / "0", own / "images", own.parent):
+        assert scene_root(given) == own and scene_name(scene_root(given)) == "castle"
+    with pytest.raises(InputError, match="no scene folder at"):
+        scene_root(tmp_path / "none")
+    with pytest.raises(InputError, match="no COLMAP file at"):
+        load_scene(tmp_path)
+
+
+def test_cameras_of_models_newer_than_this_package_are_to_be_undistorted(own):
+    file = own / "sparse" / "0" / "cameras.bin"
+    file.write_bytes(struct.pack("<QiiQQ5d", 1, 1, 13, 44, 44, *[1.0] * 5))
+    with pytest.raises(InputError, match="camera 1 is a number 13 camera; undistort first"):
+        read_model(file.parent)
+
+
+def test_settings_of_given_data_are_typed_and_name_a_run():
+    with pytest.raises(InputError, match="downscale must be at least 1"):
+        GivenConfig(downscale=float("nan"))

@@ -1,0 +1,208 @@
+"""Solids of soups: analytic soups of known topology, the offset taken, the way back, crossings, errors."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from paper_artifact import cli
+from paper_artifact.errors import InputError
+from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup, write_solid
+from paper_artifact.ingest.closest import nearest_on
+from paper_artifact.ingest.crossings import crossing_faces
+from paper_artifact.ingest.offsets import Rung, check_ladder, plateau, wanted_of
+from paper_artifact.mesh import load_mesh
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.soup.state import Soup, initial_mlp, save_soup
+from tests import certify_shapes as shapes
+
+OFFSETS = (0.02, 0.025, 0.03)
+
+
+def soup_of(vertices: np.ndarray, faces: np.ndarray, apart: float = 0.0, opacity: float = 4.0) -> Soup:
+    """A mesh's triangles as a soup, each shrunk by the share `apart`; red grows with x, green and blue are
+    .5."""
+    corners = np.asarray(vertices)[faces]
+    corners = corners + apart * (corners.mean(axis=1, keepdims=True) - corners)
+    features = torch.zeros(len(corners), 3, 7)
+    features[:, :, 0] = torch.from_numpy(corners[:, :, 0]).float()
+    features[:, :, 3] = -20.0  # the base colour alone
+    return Soup(
+        torch.from_numpy(corners).float(), features, torch.full((len(corners), 3), opacity), initial_mlp(0)
+    )
+
+
+@cache
+def torus() -> SoupSolid:
+    mesh = make_shape("torus")
+    return solidify_soup(soup_of(mesh.vertices, mesh.faces, apart=0.2), (1, 2, 1), OFFSETS, name="torus")
+
+
+def test_a_torus_in_pieces_becomes_one_closed_torus():
+    solid, mesh = torus(), make_shape("torus")
+    assert solid.rung is solid.rungs[0] and solid.rung.genus == 1 and solid.rung.inside > 0.3
+    again = trimesh.Trimesh(solid.mesh.vertices, solid.mesh.faces, process=False)
+    assert again.is_watertight and again.is_winding_consistent and again.volume > 0
+    assert again.euler_number == solid.certificate.euler == 0 and solid.certificate.betti == (1, 2, 1)
+    assert solid.crossings == 0 and not crossing_faces(solid.mesh.vertices, solid.mesh.faces).any()
+    assert solid.moved.mean() > 0.9
+    distance = trimesh.proximity.closest_point(
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), solid.mesh.vertices[::97]
+    )[1]
+    assert np.median(distance) < 0.1 * solid.rung.offset * solid.diagonal, "it has gone back to the soup"
+
+
+def test_colours_are_the_soups():
+    solid = torus()
+    expected = 1 / (1 + np.exp(-solid.mesh.vertices[:, 0]))
+    assert np.abs(solid.colours[:, 0] - expected).max() < 0.05 and np.allclose(solid.colours[:, 1:], 0.5)
+
+
+@pytest.mark.parametrize(
+    "surface, betti, body",
+    [
+        (shapes.ball(), (1, 0, 1), True),
+        (shapes.joined(shapes.ball(), shapes.ball(centre=(4, 0, 0))), (2, 0, 2), True),
+        (shapes.bowl(), (1, 0, 1), False),
+    ],
+)
+def test_nothing_wanted_takes_what_lasts(surface, betti, body):
+    solid = solidify_soup(soup_of(*surface), None, OFFSETS)
+    assert (solid.wanted.betti, solid.wanted.body, solid.stated) == (betti, body, False)
+    assert solid.certificate.passed and solid.certificate.betti == betti and solid.crossings == 0
+
+
+def test_a_bowl_is_no_ball_though_both_shells_have_the_same_betti_numbers():
+    bowl = soup_of(*shapes.bowl())
+    closed, opened = (solidify_soup(bowl, betti, (0.03,)) for betti in ((1, 0, 1), (1, 0, 0)))
+    assert closed.rungs == opened.rungs and closed.rungs[0].betti == (1, 0, 1)
+    assert closed.mesh is None and closed.to_json()["solid"] is None
+    assert opened.certificate.betti == (1, 0, 1) and opened.rung.inside == 0
+    with pytest.raises(InputError, match="no solid to write"):
+        write_solid("never.ply", closed)
+
+
+def test_the_plateau_is_the_widest_in_log_offset_with_an_inside():
+    def rung(offset: float, genus: int, inside: float) -> Rung:
+        return Rung(offset, (1, 2 * genus, 1), genus, inside, 0, 0, (1, 1, 1))
+
+    ladder = [
+        rung(0.001, 0, 0.0),
+        rung(0.01, 0, 0.0),
+        rung(0.012, 1, 0.5),
+        rung(0.02, 1, 0.4),
+        rung(0.021, 0, 0.4),
+    ]
+    assert plateau(ladder) == (1, 2, 1)
+    assert plateau(ladder[:2]) == (1, 0, 1)
+
+
+def test_written_solids_read_back_and_repeat(tmp_path):
+    vertices, faces = shapes.plate(1)
+    for name in ("a", "b"):
+        solid = solidify_soup(soup_of(vertices, faces), (1, 2, 1), (0.03,))
+        for kind in ("ply", "glb"):
+            assert write_solid(tmp_path / f"{name}.{kind}", solid).betti == (1, 2, 1)
+    for kind in ("ply", "glb"):
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+        assert np.array_equal(load_mesh(tmp_path / f"a.{kind}", welded=False).vertices, solid.mesh.vertices)
+    colours = trimesh.load(tmp_path / "a.ply", process=False).visual.vertex_colors[:, :3]
+    assert np.abs(colours / 255 - solid.colours).max() < 0.003
+
+
+def test_nearest_points_agree_with_trimesh():
+    rng = np.random.default_rng(2)
+    soup = rng.normal(size=(40, 3, 3))
+    points = rng.normal(size=(300, 3))
+    found = nearest_on(soup, points, 9.0)
+    mesh = trimesh.Trimesh(soup.reshape(-1, 3), np.arange(120).reshape(-1, 3), process=False)
+    _, distance, _ = trimesh.proximity.closest_point(mesh, points)
+    np.testing.assert_allclose(np.linalg.norm(found.points - points, axis=1), distance, atol=1e-9)
+    assert found.weights.min() >= 0 and np.allclose(found.weights.sum(axis=1), 1)
+    with pytest.raises(InputError, match="farther than"):
+        nearest_on(soup, points + 100, 1.0)
+
+
+def test_crossings_are_found_and_only_those():
+    vertices, faces = shapes.ball()
+    assert not crossing_faces(vertices, faces).any()
+    assert not crossing_faces(*shapes.plate(2)).any(), "flat neighbours lie in one plane and do not meet"
+    twice = shapes.joined((vertices, faces), shapes.ball(centre=(1.5, 0.1, 0.2)))
+    marked = crossing_faces(*twice)
+    centres = twice[0][twice[1]].mean(axis=1)
+    assert marked.any() and (np.abs(centres[marked, 0] - 0.75) < 0.5).all()
+    pierced = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [3, 3, 1.0]])
+    assert crossing_faces(pierced, np.array([[0, 1, 2], [3, 4, 5]])).all()
+    assert not crossing_faces(
+        pierced + [[0], [0], [0], [9], [9], [9]], np.array([[0, 1, 2], [3, 4, 5]])
+    ).any()
+    folded = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.3, 0]])
+    assert crossing_faces(folded, np.array([[0, 1, 2], [1, 0, 3]])).all()
+
+
+def test_a_solid_is_near_its_target():
+    distance = distances_to(torus().mesh, make_shape("torus"), samples=4000)
+    assert 0 < distance["chamfer"] < 0.02 and distance["hausdorff95"] < 0.05
+
+
+@pytest.mark.parametrize(
+    "betti, words",
+    [((0, 0, 0), "b0 ≥ 1"), ((1, -2, 1), "none negative"), ((1, 2), "b0,b1,b2"), ((1, 3, 1), "twice"),
+     ((2, 0, 1), "b2 = b0"), ((1, 0, 2), "b2 = b0")],
+)  # fmt: skip
+def test_impossible_betti_numbers_are_refused(betti, words):
+    with pytest.raises(InputError, match=words):
+        wanted_of(betti)
+
+
+def test_what_can_be_wanted():
+    assert wanted_of((1, 2, 1)).betti == (1, 2, 1) and wanted_of((1, 2, 1)).body
+    assert wanted_of((1, 1, 0)).betti == (1, 2, 1) and not wanted_of((1, 1, 0)).body
+
+
+@pytest.mark.parametrize("offsets", [(), (0.0,), (0.5,), (-0.01, 0.01), (float("nan"),)])
+def test_bad_offsets_are_refused(offsets):
+    with pytest.raises(InputError, match="offset"):
+        check_ladder(offsets)
+
+
+def test_a_soup_without_opaque_triangles_is_refused():
+    with pytest.raises(InputError, match="no triangle has an opacity"):
+        solidify_soup(soup_of(*shapes.ball(), opacity=-4.0), (1, 0, 1), (0.03,))
+
+
+def test_the_verb(tmp_path: Path, capsys):
+    mesh = make_shape("torus")
+    save_soup(tmp_path / "t.npz", soup_of(mesh.vertices, mesh.faces))
+    out, stored = tmp_path / "t.glb", tmp_path / "t.json"
+    words = ["solidify", str(tmp_path / "t.npz"), "--out", str(out), "--quiet", "--json", str(stored)]
+    assert cli.main([*words, "--target", "torus", "--offsets", "0.025,0.03"]) == 0
+    printed = capsys.readouterr().out
+    assert "ε = 0.025 D is the smallest that gives β = (1, 2, 1)" in printed and "Chamfer" in printed
+    report = json.loads(stored.read_text())
+    assert report["solid"]["certificate"]["genus"] == 1 and report["distance"]["chamfer"] < 0.02
+    out.unlink()
+    assert cli.main([*words, "--betti", "1,4,1", "--offsets", "0.03"]) == 1
+    assert "no offset gives β = (1, 4, 1)" in capsys.readouterr().out and not out.exists()
+    assert json.loads(stored.read_text())["solid"] is None
+
+
+def test_the_verb_refuses_before_it_works(tmp_path: Path, capsys):
+    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 cut off")
+    for words, answer in (
+        (["--out", "a.obj"], "must end in .ply or .glb"),
+        (["--out", "a.ply", "--betti", "0,0,0"], "b0 ≥ 1"),
+        (["--out", "a.ply", "--betti", "one"], "takes numbers"),
+        (["--out", "a.ply", "--offsets", "0.4"], "offset must be"),
+        (["--out", "a.ply", "--cells", "0.1"], "at least one grid cell"),
+        (["--out", "a.ply"], "not a readable soup"),
+    ):
+        assert cli.main(["solidify", str(tmp_path / "bad.npz"), *words]) == 1
+        assert answer in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
