@@ -17,7 +17,7 @@ from paper_artifact.study.repair import RepairProbe, Trajectory
 from paper_artifact.topology.matching import match_bars, recruit
 
 GREY, ORANGE, TUG = "#d9d9d9", "#f6c48f", "#b35900"
-WIDTH, HEIGHT = 3.0, 1.8  # of a box
+WIDTH, HEIGHT = 3.3, 1.8  # of a box
 
 
 class Box(NamedTuple):
@@ -32,17 +32,17 @@ class Box(NamedTuple):
 
 BOXES = {
     "scene": Box("views, cameras,\nSfM cloud", "scene/build.py", 0, 2),
-    "soup": Box("triangle soup:\nvertices V, α", "soup/state.py", 3.45, 2),
-    "render": Box("rasterize with\nstochastic opacity", "raster/visibility.py", 6.9, 2),
-    "photo": Box("photometric loss", "raster/photometric.py", 10.35, 2),
-    "step": Box("optimiser step", "soup/adam.py", 10.35, 4.6),
-    "resample": Box("resample every\n100 steps", "soup/resample.py", 3.45, 4.6),
-    "samples": Box("M samples, α × area,\nfrozen weights", "topology/samples.py", 3.45, -0.6, True),
-    "alpha": Box("exact alpha\npersistence", "alpha/persistence.py", 6.9, -0.6, True),
-    "match": Box("match and recruit\n(every 10 steps)", "topology/matching.py", 10.35, -0.6, True),
-    "bundle": Box("target bundle", "topology/bundle.py", 10.35, -3.2, True),
-    "pull": Box("circumradii of the\nfrozen pairs", "alpha/circumradius.py", 13.8, -0.6, True),
-    "weight": Box("λ(t), calibrated\nby ρ", "topology/schedule.py", 13.8, 2, True),
+    "soup": Box("triangle soup:\nvertices V, α", "soup/state.py", 3.65, 2),
+    "render": Box("rasterize with\nstochastic opacity", "raster/visibility.py", 7.3, 2),
+    "photo": Box("photometric loss", "raster/photometric.py", 10.95, 2),
+    "step": Box("optimiser step", "soup/adam.py", 10.95, 4.6),
+    "resample": Box("resample every\n100 steps", "soup/resample.py", 3.65, 4.6),
+    "samples": Box("M samples, α × area,\nfrozen weights", "topology/samples.py", 3.65, -0.6, True),
+    "alpha": Box("exact alpha\npersistence", "alpha/persistence.py", 7.3, -0.6, True),
+    "match": Box("match and recruit\n(every 10 steps)", "topology/matching.py", 10.95, -0.6, True),
+    "bundle": Box("target bundle", "topology/bundle.py", 10.95, -3.2, True),
+    "pull": Box("circumradii of the\nfrozen pairs", "alpha/circumradius.py", 14.6, -0.6, True),
+    "weight": Box("λ(t), calibrated\nby ρ", "topology/schedule.py", 14.6, 2, True),
 }
 ARROWS = (
     ("scene", "soup"),
@@ -108,7 +108,7 @@ def _draw_system(axis: Axes) -> None:
         module = box.module.replace("/", "/\n")
         axis.text(box.x, box.y + 0.42, box.text, ha="center", va="center", linespacing=1.0)
         axis.text(box.x, box.y - 0.42, module, ha="center", va="center", style="italic", linespacing=1.0)
-    axis.set(xlim=(-1.55, 15.35), ylim=(-4.2, 5.6))
+    axis.set(xlim=(-1.7, 16.3), ylim=(-4.2, 5.6))
     axis.set_axis_off()
 
 

@@ -155,14 +155,14 @@ def arm_styles(arms: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 def draw_bands(axis: Axes, table: pd.DataFrame, value: str, offset: float = 0.0) -> None:
     """Draw one band per arm of `table` in the catalogue's order and styles; columns as for `draw_band`, and
-    "condition". offset: each arm is drawn that much higher than the one before, centred on zero, and equally
-    thin: for counts, which would lie on one another."""
+    "condition". offset: each arm is drawn that much higher than the one before, on both sides of zero, and
+    equally thin: for counts, which would lie on one another."""
     styles = arm_styles(table["condition"].unique())
     for place, (arm, style) in enumerate(styles.items()):
         own = table[table["condition"] == arm]
         if offset:
             style["linewidth"] = THIN
-        lift = offset * (place - (len(styles) - 1) / 2)
+        lift = offset * (place - len(styles) // 2 + 0.5)  # none at zero, where the true count is dashed
         draw_band(axis, own.assign(**{value: own[value] + lift}), value, arm, **style)
 
 
