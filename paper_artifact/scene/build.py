@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import json
 import os
 import shutil
 import tempfile
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -37,8 +35,8 @@ from paper_artifact.scene.perturb import (
     surrounding,
 )
 from paper_artifact.scene.texture import mesh_texture
+from paper_artifact.scene.whole import clear_stale
 
-STALE = 3600.0  # seconds
 SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
 
 
@@ -109,7 +107,7 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     temporary = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        _clear_stale(folder)
+        clear_stale(folder)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
         _write_scene(mesh, config, temporary, key, progress)
         temporary.chmod(0o755)
@@ -125,15 +123,6 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
     return folder
-
-
-def _clear_stale(folder: Path) -> None:
-    """Remove what killed builds of the same scene have left: temporary folders that nothing was written to
-    for STALE seconds. Others may be in the making by another process."""
-    for left in folder.parent.glob(f".{glob.escape(folder.name)}-*.partial"):
-        written = max(each.stat().st_mtime for each in (left, *left.glob("*")))
-        if time.time() - written > STALE:
-            shutil.rmtree(left, ignore_errors=True)
 
 
 def _holds(folder: Path, key: str, views: int) -> bool:

@@ -3,16 +3,20 @@ scene.json."""
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from paper_artifact.errors import InputError
 from paper_artifact.scene.folder import DESCRIPTION
+
+STALE = 3600.0  # seconds
 
 
 def holds(folder: Path, key: str) -> bool:
@@ -35,6 +39,15 @@ def holds(folder: Path, key: str) -> bool:
     return True
 
 
+def clear_stale(folder: Path) -> None:
+    """Remove what killed builds of the same scene have left: temporary folders that nothing was written to
+    for STALE seconds. Others may be in the making by another process."""
+    for left in folder.parent.glob(f".{glob.escape(folder.name)}-*.partial"):
+        written = max(each.stat().st_mtime for each in (left, *left.glob("*")))
+        if time.time() - written > STALE:
+            shutil.rmtree(left, ignore_errors=True)
+
+
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder beside `folder`, which takes its name on a clean exit and is removed
@@ -45,6 +58,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     temporary = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        clear_stale(folder)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
         yield temporary
         temporary.chmod(0o755)
