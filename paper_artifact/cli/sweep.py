@@ -42,8 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     Returns 0, or 1 when a run failed; InputError goes to the caller.
     """
-    from tqdm import tqdm
-
+    from paper_artifact.cli._progress import tqdm
     from paper_artifact.study.sweep import missing, sweep
 
     if (arguments.executor == "dask") != bool(arguments.scheduler):

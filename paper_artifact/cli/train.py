@@ -114,8 +114,8 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
 def run(arguments: argparse.Namespace) -> int:
     """Train (or find the record) and print the result. Returns 0; InputError goes to the caller."""
     import torch
-    from tqdm import tqdm
 
+    from paper_artifact.cli._progress import tqdm
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
