@@ -7,8 +7,8 @@ its module and of every module of the package that this one imports, directly or
 what may depend on it is compiled again.
 
 Where no folder can be written, numba raises. Here the kernels go to a temporary folder, which child processes
-share and the end of this process removes; where the disk is full, they are not kept. Either is said once, on
-stderr.
+share and the end of this process removes; where that cannot be written either, or the disk is full, they are
+not kept. Either is said once, on stderr. A damaged file is as none.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import re
 import shutil
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from numba import config
@@ -79,8 +80,8 @@ class PackageLocator:
         place = _first_place(function, file)
         if place is None:
             _use_temporary_folder()
-            place = _first_place(function, file)
-        return None if place is None else cls(place, path)
+            place = _first_place(function, file) or caching.UserProvidedCacheLocator(function, file)
+        return cls(place, path)
 
     def get_source_stamp(self) -> str:
         """Return what must be equal for a kept kernel to be taken."""
@@ -96,24 +97,29 @@ def _first_place(function, file: str) -> caching._CacheLocator | None:
 
 
 def _use_temporary_folder() -> None:
-    folder = tempfile.mkdtemp(prefix="paper_artifact-kernels-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    try:
+        folder = tempfile.mkdtemp(prefix="paper_artifact-kernels-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    except OSError:
+        folder = str(PACKAGE / "__pycache__" / "none")  # cannot be made either, and nothing is kept
     os.environ[_VARIABLE] = config.CACHE_DIR = folder  # child processes find it there and say nothing
     _tell("neither beside the package nor in the user's cache folder")
 
 
-@functools.cache
 def _tell(why: str) -> None:
     """Say on stderr, once, that compiled kernels are lost and what to do."""
-    print(
-        f"paper_artifact: compiled kernels cannot be kept ({why}), so each start compiles them again, about "
-        f"half a minute; {_VARIABLE} names a folder that can be written",
-        file=sys.stderr,
-    )
+    if not _told:
+        _told.append(why)
+        with suppress(OSError):  # a full disk behind stderr
+            print(
+                f"paper_artifact: compiled kernels cannot be kept ({why}), so each start compiles them "
+                f"again, about half a minute; {_VARIABLE} names a folder that can be written",
+                file=sys.stderr,
+            )
 
 
 def _save_or_go_on(cache: caching.Cache, signature, kernel) -> None:
-    """Keep a compiled kernel as numba does; where the disk is full, one of this package is used unkept."""
+    """Keep a compiled kernel as numba does; where that fails, one of this package is used unkept."""
     try:
         _numbas_save(cache, signature, kernel)
     except OSError as error:
@@ -122,6 +128,23 @@ def _save_or_go_on(cache: caching.Cache, signature, kernel) -> None:
         _tell(error.strerror or str(error))
 
 
+def _load_or_compile(cache: caching.Cache, signature, context):
+    """Return a kept kernel as numba does; None, and what was kept is forgotten, where its file is damaged."""
+    try:
+        return _numbas_load(cache, signature, context)
+    except (
+        Exception
+    ):  # pickle raises many kinds; numba writes without fsync, so a power cut leaves such files
+        if not isinstance(cache._impl.locator, PackageLocator):
+            raise
+        with suppress(OSError):
+            os.unlink(cache._cache_file._index_path)
+        return None
+
+
+_told: list[str] = []
+_numbas_load = caching.Cache.load_overload
+caching.Cache.load_overload = _load_or_compile
 _numbas_save = caching.Cache.save_overload
 caching.Cache.save_overload = _save_or_go_on
 caching.CacheImpl._locator_classes.insert(0, PackageLocator)

@@ -189,6 +189,8 @@ def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
             continue
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
         faces = np.asarray(geometry.faces, dtype=np.int64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
+            raise ValueError(f"its points and triangles come as {vertices.shape} and {faces.shape}")
         if not np.array_equal(transform, np.eye(4)):
             vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
             if np.linalg.det(transform[:3, :3]) < 0:

@@ -240,6 +240,15 @@ def test_a_mirror_without_the_file(tmp_path, monkeypatch, refused, capsys):
     refused(["train", "spot", "--quiet", "--results", tmp_path / "results"], "is no folder")
 
 
+def test_no_dead_progress_bar_stands_above_an_error(tmp_path, capsys):
+    (tmp_path / "results").write_text("a file, no folder")
+    arguments = [each for each in tiny_arguments() if each != "--quiet"]
+    assert cli.main([*arguments, "--results", str(tmp_path / "results")]) == 1
+    error = capsys.readouterr().err
+    assert "0/60" in error, "there was a bar"
+    assert error.count("\n") == 1 and error.split("\r")[-1].startswith("paper_artifact: cannot write")
+
+
 def recorded(results, config, mesh):
     """Write a record as a finished run leaves it and return its path."""
     sections = {

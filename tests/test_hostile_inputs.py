@@ -199,6 +199,13 @@ def test_a_model_with_more_instances_than_memory_is_refused(tmp_path, monkeypatc
         load_mesh(tmp_path / "balls.glb")
 
 
+def test_an_obj_whose_points_have_two_coordinates_is_refused(tmp_path):
+    rows = ["v 0 0", "v 1 0", "v 0 1", "v 1 1", "v 2 1", "v 2 2", "f 1 2 3", "f 2 3 4"]
+    (tmp_path / "flat.obj").write_text("\n".join(rows))
+    with pytest.raises(InputError, match=r"flat.obj"):
+        load_mesh(tmp_path / "flat.obj")
+
+
 def test_a_model_that_is_cut_off_asks_for_no_memory(tmp_path):
     data = trimesh.creation.icosphere(1).export(file_type="glb")
     place = data.index(b"BIN\0") - 4

@@ -24,7 +24,7 @@ from paper_artifact.mesh import Mesh
 MOST = 8  # marks per dimension
 COLOURS = ("#c0392b", "#1f5fbf", "#2e8b57", "#c47f00", "#7d3c98", "#008b8b", "#b03a78", "#5d6d7e")
 THICKNESS = 0.006  # of a tube, radius / diagonal
-SHRUNK = 0.55  # a triangle's size in the see-through mesh
+SHRUNK = 0.45  # a triangle's size in the see-through mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,8 @@ STYLE = (
     "h1{font-size:1.5em;margin-bottom:.2em;overflow-wrap:anywhere}h2{font-size:1.1em;margin:1.4em 0 .4em}"
     "table{border-collapse:collapse;font-variant-numeric:tabular-nums}\n"
     "td,th{border:1px solid #ccc;padding:.15em .6em;text-align:right}"
-    "th{background:#f3f3f3}tr.chosen td{background:#e3edfb;font-weight:600}td small{font-weight:400}\n"
+    "th{background:#f3f3f3}tr.chosen td{background:#e3edfb;font-weight:600}"
+    "td small{font-weight:400;white-space:nowrap}\n"
     "pre{background:#f6f6f6;padding:.7em;overflow-x:auto;font-size:12.5px;margin:.4em 0}"
     ".command{display:flex;align-items:start;gap:.5em;margin:.4em 0}"
     ".command pre{flex:1;white-space:pre-wrap;overflow-wrap:anywhere;margin:0}\n"
@@ -44,7 +45,7 @@ COPY = (
 WORDS = (
     "<b>M</b> is the number of points drawn on the surface, uniformly by area: the more, the finer the "
     "features that can be seen, and the slower the loss.",
-    f"The <b>floor</b> is {MULTIPLIER:g} times half the usual distance between neighbouring points: what is "
+    f"The <b>floor</b> is {MULTIPLIER:g} times the median distance between neighbouring points: what is "
     "shorter could be a gap between samples.",
     "A <b>bar</b> is one component, loop or void seen while balls grow around the points: from the radius at "
     "which it appears to the one at which it is filled; it is measurable when it is longer than the floor.",

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return 0 after the measurement is written to its CSV."""
-    from tqdm import tqdm
+    from paper_artifact.cli._progress import tqdm
 
     with tqdm(desc=f"measuring {arguments.name}", unit="part", disable=arguments.quiet) as bar:
 

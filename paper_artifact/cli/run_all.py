@@ -50,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Execute them all, the ones after a failing one too. Returns 0, or 1 if one failed."""
-    from tqdm import tqdm
-
+    from paper_artifact.cli._progress import tqdm
     from paper_artifact.notebooks import execute, execution_table, notebook_files, own_kernel
 
     files = notebook_files(arguments.notebooks, arguments.only)

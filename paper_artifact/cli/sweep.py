@@ -90,8 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     Returns 0, or 1 when a run failed; InputError goes to the caller.
     """
-    from tqdm import tqdm
-
+    from paper_artifact.cli._progress import tqdm
     from paper_artifact.scene.given import is_own
     from paper_artifact.study.estimate import run_name
     from paper_artifact.study.sweep import missing, sweep

@@ -131,8 +131,8 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
 def run(arguments: argparse.Namespace) -> int:
     """Train (or find the record) and print the result. Returns 0; InputError goes to the caller."""
     import torch
-    from tqdm import tqdm
 
+    from paper_artifact.cli._progress import tqdm
     from paper_artifact.pipeline import results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
