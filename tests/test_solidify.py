@@ -137,6 +137,9 @@ def test_crossings_are_found_and_only_those():
     marked = crossing_faces(*twice)
     centres = twice[0][twice[1]].mean(axis=1)
     assert marked.any() and (np.abs(centres[marked, 0] - 0.75) < 0.5).all()
+    second = np.arange(len(twice[0])) >= len(vertices)
+    assert np.array_equal(crossing_faces(*twice, changed=second), marked), "one of each pair has changed"
+    assert not crossing_faces(*twice, changed=np.zeros(len(twice[0]), dtype=bool)).any()
     pierced = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [3, 3, 1.0]])
     assert crossing_faces(pierced, np.array([[0, 1, 2], [3, 4, 5]])).all()
     assert not crossing_faces(

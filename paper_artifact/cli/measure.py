@@ -21,6 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of NAME.csv (default: results/measured)",
     )
+    parser.add_argument(
+        "--soups",
+        type=Path,
+        metavar="DIR",
+        help="solids, solid_peers: the folder of final soups, named like records; runs that it lacks are "
+        "left out (default: results/retrained/soups; solids trains what is missing there)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,6 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
             bar.set_postfix_str(text)
             bar.update()
 
-        path = write(arguments.name, arguments.out, progress)
+        path = write(arguments.name, arguments.out, progress, arguments.soups)
     print(f"written: {path}")
     return 0

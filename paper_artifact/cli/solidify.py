@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ε,ε…",
         help="offsets to try, as fractions of the soup's diagonal (default: .004 to .02 in eight steps)",
     )
-    parser.add_argument("--cells", type=float, help="grid cells per offset (default: 2)")
+    parser.add_argument("--cells", type=float, help="grid cells per offset (default: 1.5)")
     parser.add_argument(
         "--target",
         metavar="SHAPE|MESH",
@@ -49,8 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.certify.certificate import certify_mesh
     from paper_artifact.export.solid import check_format, distances_to, solidify_soup, write_solid
     from paper_artifact.files import write_json
-    from paper_artifact.ingest.offsets import OFFSETS, check_ladder, wanted_of
-    from paper_artifact.ingest.solidify import CELLS
+    from paper_artifact.ingest.offsets import CELLS, OFFSETS, check_ladder, wanted_of
     from paper_artifact.scene.find import find_mesh
     from paper_artifact.soup.state import load_soup
 

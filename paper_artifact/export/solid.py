@@ -16,9 +16,8 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.geometry import point_distances
 from paper_artifact.export.models import srgb_to_linear, unlit
 from paper_artifact.export.triangles import THRESHOLD, Triangles, soup_triangles
-from paper_artifact.ingest.offsets import OFFSETS, Rung, Wanted, climb, plateau, shells, wanted_of
+from paper_artifact.ingest.offsets import CELLS, OFFSETS, Rung, Wanted, climb, plateau, shells, wanted_of
 from paper_artifact.ingest.retract import retract
-from paper_artifact.ingest.solidify import CELLS
 from paper_artifact.ingest.write import write_certified
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream

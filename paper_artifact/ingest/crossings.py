@@ -17,20 +17,35 @@ from paper_artifact.kernel_cache import njit
 FLAT_BOUND = 1e-15  # above (3 + 16 u) u for the two-dimensional determinant, u = 2^-53
 
 
-def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def crossing_faces(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    links: tuple[np.ndarray, np.ndarray] | None = None,
+    changed: np.ndarray | None = None,
+) -> np.ndarray:
     """Return (F,) bool: the faces (F,3) int64 that may meet another one beyond what they share.
 
     vertices (V,3) float64. A face with an edge that meets another face is marked, and so is that other one.
+    links: `edges_of(faces, V)`, where known. changed (V,) bool: only pairs with such a vertex are looked at.
     """
     # A power of two scales exactly and keeps the determinants away from the ends of double precision.
     scale = 2.0 ** -np.ceil(np.log2(max(float(np.abs(vertices).max()), 1e-300)))
     points = np.ascontiguousarray(vertices, dtype=np.float64) * scale
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    edges, face_edges = edges_of(faces, len(points))
-    edges = np.ascontiguousarray(edges, dtype=np.int64)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    boxes = file_boxes(points[faces], 1.5 * float(np.median(lengths)))
-    meets, met = _meetings(points, faces, edges, boxes)
+    edges, face_edges = edges_of(faces, len(points)) if links is None else links
+    cell = 1.5 * float(np.median(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)))
+    if changed is None:
+        changed = np.ones(len(points), dtype=bool)
+    some_faces, some_edges = changed[faces].any(axis=1), changed[edges].any(axis=1)
+    meets, met = np.zeros(len(edges), dtype=bool), np.zeros(len(faces), dtype=bool)
+    # Every edge against the faces that changed, then the edges that changed against the other faces.
+    for chosen_edges, chosen in ((slice(None), some_faces), (some_edges, ~some_faces)):
+        if chosen.any():
+            some = faces[chosen]
+            boxes = file_boxes(points[some], cell)
+            edge, face = _meetings(points, some, np.ascontiguousarray(edges[chosen_edges]), boxes)
+            meets[chosen_edges] |= edge
+            met[chosen] |= face
     return met | meets[face_edges].any(axis=1) | _folded(points, faces, face_edges, len(edges))
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paper_artifact.certify.simplices import edges_of
 from paper_artifact.ingest.closest import Nearest, nearest_on
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.mesh import Mesh
@@ -35,10 +36,11 @@ def retract(shell: Mesh, soup: np.ndarray, reach: float) -> Retracted:
     `reach`; world units. Raises InputError as `nearest_on` does."""
     nearest = nearest_on(soup, shell.vertices, reach)
     way = nearest.points - shell.vertices
-    share = np.full(len(way), BACK)
+    share, held = np.full(len(way), BACK), np.ones(len(way), dtype=bool)
+    links = edges_of(shell.faces, len(way))
     for turn in range(ROUNDS + 1):
         vertices = (shell.vertices + share[:, None] * way).astype(np.float32).astype(np.float64)
-        meeting = crossing_faces(vertices, shell.faces)
+        meeting = crossing_faces(vertices, shell.faces, links, held)
         if not meeting.any() or turn == ROUNDS:
             break
         held = np.zeros(len(way), dtype=bool)

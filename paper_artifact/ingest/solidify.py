@@ -150,8 +150,10 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
 def _least_inside(filled: np.ndarray, near: np.ndarray) -> float:
     """Return the least share, over the 6-connected bodies of `filled`, of points that are not `near`."""
     labels, count = ndimage.label(filled)
+    if count == 1:
+        return float(1 - near.sum() / filled.sum())
     whole = np.bincount(labels[filled], minlength=count + 1)[1:]
-    walls = np.bincount(labels[near & filled], minlength=count + 1)[1:]
+    walls = np.bincount(labels[near], minlength=count + 1)[1:]
     return float(1 - (walls / whole).max())
 
 

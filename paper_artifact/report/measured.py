@@ -63,18 +63,41 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
     ),
+    "solids": (
+        "measure_solids",
+        "solids of the final soups by offset (--soups DIR, else trains what is missing): topology, Chamfer",
+    ),
+    "solid_peers": (
+        "measure_solid_peers",
+        "voxels with marching cubes, and Poisson (pymeshlab), on the soups in --soups DIR",
+    ),
 }
+OF_SOUPS = ("solids", "solid_peers")  # they take a folder of soups and go on from the table that is there
 
 
-def write(name: str, folder: Path | str = MEASURED, progress: Callable[[str], None] | None = None) -> Path:
+def write(
+    name: str,
+    folder: Path | str = MEASURED,
+    progress: Callable[[str], None] | None = None,
+    soups: Path | None = None,
+) -> Path:
     """Make the measurement `name`, write its CSV (6 significant digits) and return the path.
 
-    Raises InputError for another name.
+    soups: a folder of final soups, for the names OF_SOUPS. Raises InputError for another name, and for soups
+    that it does not take.
     """
     if name not in MEASUREMENTS:
         raise InputError(f"no measurement is called {name!r}; there are {', '.join(MEASUREMENTS)}")
+    if soups is not None and (name not in OF_SOUPS or not soups.is_dir()):
+        raise InputError(
+            f"--soups {soups} is no folder; name one with final soups"
+            if name in OF_SOUPS
+            else f"{name} takes no --soups; {' and '.join(OF_SOUPS)} do"
+        )
     module = importlib.import_module(f"paper_artifact.report.{name}")  # only what measures is loaded
-    table, path = getattr(module, MEASUREMENTS[name][0])(progress=progress), Path(folder) / f"{name}.csv"
+    path = Path(folder) / f"{name}.csv"
+    options = {"soups": soups, "path": path} if name in OF_SOUPS else {}
+    table = getattr(module, MEASUREMENTS[name][0])(progress=progress, **options)
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     return path
 
