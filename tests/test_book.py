@@ -256,6 +256,9 @@ def test_executed_copies_are_taken_only_where_they_are_of_this_code(tmp_path):
     texts = [each.notebook.cells[1].outputs[0]["data"]["text/plain"] for each in found]
     assert texts == ["executed", "committed", "committed", "committed"]
     assert {each.title for each in found} == {"A title"}
+    assert [each.state[:8] for each in found] == ["executed", *["with its"] * 3]
+    found[3].notebook.cells[1].outputs = []
+    assert found[3].state.startswith("not executed yet")
 
 
 def test_svg_pictures_of_run_all_come_before_those_in_the_notebooks(tmp_path):

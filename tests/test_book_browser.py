@@ -34,7 +34,7 @@ async function look(file) {
   const broken = [...page.images].filter(each => each.complete && !each.naturalWidth).map(each => each.src);
   const canvas = page.querySelector("canvas");
   const drawn = canvas && canvas.getContext("webgl") ? page.querySelectorAll("#names div").length : null;
-  found[file] = { over: root.scrollWidth - frame.clientWidth, broken, drawn };
+  found[file] = { over: root.scrollWidth - root.clientWidth, broken, drawn };
   frame.remove();
 }
 (async () => {

@@ -84,7 +84,7 @@ def build(
         items=found,
         counted=", ".join(f"{number} {word}" for word, number in counts.most_common()),
         views=views,
-        made=f"Made by paper_artifact {__version__} from {_records(sources)} committed records; "
+        made=f"Made by paper_artifact {__version__} from {_records(sources)} records; "
         "python -m paper_artifact book makes it again.",
     )
     pages.write("items.html", "items.html", f"The paper's {len(found)} items", items=found)
@@ -94,14 +94,7 @@ def build(
     pages.write("soups.html", "soups.html", "Final soups in three dimensions", views=views)
     pages.write("figures.html", "figures.html", "Figures", groups=figures)
     pages.write("tables.html", "tables.html", "Tables", own=OWN, groups=tables)
-    chapters = list(sources.chapters.values())
-    pages.write(
-        "notebooks.html",
-        "notebooks.html",
-        "Notebooks",
-        chapters=chapters,
-        any_executed=any(each.executed for each in chapters),
-    )
+    pages.write("notebooks.html", "notebooks.html", "Notebooks", chapters=list(sources.chapters.values()))
     pages.write("api.html", "api.html", "Python API", packages=api.packages())
     return found
 
@@ -121,8 +114,7 @@ def _write_chapters(sources: Sources, pages: Pages) -> tuple[list, list]:
             "notebook.html",
             f"notebooks/{chapter.name}.html",
             chapter.title,
-            name=chapter.name,
-            executed=chapter.executed,
+            chapter=chapter,
             content=notebook_body(copy.deepcopy(chapter), pictures),
         )
     return figures, tables

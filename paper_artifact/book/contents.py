@@ -29,6 +29,14 @@ class Chapter:
     executed: bool  # whether the outputs are this machine's; else the committed ones
     tables: list[Rows]  # in order of appearance
 
+    @property
+    def state(self) -> str:
+        """Where its outputs are from, in words."""
+        if self.executed:
+            return "executed on this machine"
+        shown = any(cell.get("outputs") for cell in self.notebook.cells)
+        return "with its committed outputs" if shown else "not executed yet: what it reads is not recorded"
+
 
 @dataclass(frozen=True)
 class Figure:

@@ -25,9 +25,11 @@ class Sources:
     _studies: dict[str, Collected] = field(default_factory=dict)  # what was asked for already
 
     @classmethod
-    def read(cls, notebooks: Path = NOTEBOOKS, executed: Path = EXECUTED) -> Sources:
+    def read(
+        cls, notebooks: Path = NOTEBOOKS, executed: Path = EXECUTED, runs: Path = RESULTS / "runs"
+    ) -> Sources:
         """Return the sources; raises InputError as `contents.chapters` does."""
-        return cls({each.name: each for each in chapters(notebooks, executed)})
+        return cls({each.name: each for each in chapters(notebooks, executed)}, runs)
 
     def study(self, *names: str) -> Collected:
         """Return the records of these studies, and which of their runs are missing."""

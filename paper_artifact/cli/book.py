@@ -27,6 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="executed copies, taken where they have a notebook's code (default: results/executed)",
     )
     parser.add_argument(
+        "--runs",
+        type=Path,
+        default=RESULTS / "runs",
+        metavar="DIR",
+        help="the records (default: results/runs; of `run-all --profile full`: results/retrained/runs)",
+    )
+    parser.add_argument(
         "--refresh",
         action="store_true",
         help="also write the README's picture, results/main_result.svg, from the committed records",
@@ -41,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.book.front import write_picture
     from paper_artifact.book.sources import Sources
 
-    sources = Sources.read(arguments.notebooks, arguments.executed)
+    sources = Sources.read(arguments.notebooks, arguments.executed, arguments.runs)
     if arguments.refresh:
         write_picture(sources)
     with tqdm(total=PARTS, desc="book", unit="part", disable=arguments.quiet) as bar:
