@@ -142,7 +142,9 @@ def aligned_to(scene: Path) -> Similarity:
 
 
 def result_table(measured: pd.DataFrame) -> pd.DataFrame:
-    """Return the measurement as the notebook shows it: one row per condition."""
+    """Return the measurement as the notebook shows it, a row per condition; of an empty one, the command."""
+    if measured.empty:
+        return pd.DataFrame({"not measured yet": ["python -m paper_artifact measure photographs"]})
 
     def triple(name: str, form: str) -> list[str]:
         columns = measured[[f"{name}_{k}" for k in range(3)]].to_numpy()

@@ -1,0 +1,188 @@
+"""Photographs become a scene: by real structure from motion where pycolmap is, and clear words where they do
+not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from paper_artifact.cli import main
+from paper_artifact.files import REPOSITORY
+from paper_artifact.photos.exposure import even_out, fitted_exposures, to_shown
+from paper_artifact.photos.register import Registered
+from paper_artifact.photos.scene import _cropped, doubts, empty_colour, upright
+from paper_artifact.randomness import stream
+from paper_artifact.scene.cameras import fibonacci_cameras
+from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model
+from paper_artifact.scene.load import load_scene
+from paper_artifact.scene.shapes import make_shape
+
+MUG = REPOSITORY / "data_scripts" / "mug"
+
+
+def noise(folder, count):
+    folder.mkdir()
+    for index in range(count):
+        pixels = stream(index, "noise").integers(0, 256, (48, 64, 3), np.uint8)
+        Image.fromarray(pixels).save(folder / f"{index}.jpg")
+    return folder
+
+
+def model_of(cameras, points):
+    return Model(
+        cameras={
+            i: Intrinsics("PINHOLE", c.width, c.height, (c.focal_x, c.focal_y, c.centre_x, c.centre_y))
+            for i, c in enumerate(cameras)
+        },
+        images={i: Pose(f"{i}.png", i, c.quaternion, c.translation) for i, c in enumerate(cameras)},
+        point_ids=np.arange(len(points)),
+        positions=points,
+        colours=np.zeros((len(points), 3), np.uint8),
+        errors=np.zeros(len(points)),
+    )
+
+
+def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    (tmp_path / "photos").mkdir()
+    for index in range(30, 38):  # of the upper ring
+        shutil.copy(MUG / "photographs" / f"mug_{index:02d}.jpg", tmp_path / "photos")
+    Image.fromarray(stream(0, "noise").integers(0, 256, (450, 600, 3), np.uint8)).save(
+        tmp_path / "photos/z.png"
+    )
+    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200", "--quiet"]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "8 photographs registered" in told.out and "8 of 9 photographs registered, not z.jpg" in told.err
+    scene = load_scene(tmp_path / "scene")
+    assert len(scene.names) == 8 and max(scene.images.shape[2:]) == 200 and len(scene.points) > 500
+    assert not list(tmp_path.glob(".*partial"))
+    facts = json.loads((tmp_path / "scene" / "scene.json").read_text())
+    assert np.allclose(facts["background"], 0.72, atol=0.1)  # the grey room
+    # The cameras stand as they truly stood, up to a similarity: compare ratios of distances.
+    true = json.loads((MUG / "cameras.json").read_text())["centres"]
+    truth = np.array([true[name] for name in scene.names])
+    ratios = np.linalg.norm(np.diff(scene.camera_centres, axis=0), axis=1) / np.linalg.norm(
+        np.diff(truth, axis=0), axis=1
+    )
+    assert ratios.std() < 0.03 * ratios.mean()
+    assert main(words) == 0 and "8 photographs registered" in capsys.readouterr().out  # not made again
+    assert main([*words, "--features", "500"]) == 1 and "holds a scene of other" in capsys.readouterr().err
+
+
+def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    words = ["photos", str(noise(tmp_path / "noise", 3)), "--out", str(tmp_path / "scene"), "--quiet"]
+    assert main(words) == 1
+    told = capsys.readouterr().err
+    assert "0 of 3 photographs register" in told and "overlapping" in told
+    assert not (tmp_path / "scene").exists() and not list(tmp_path.glob(".*partial"))
+
+
+def test_without_pycolmap_it_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    assert main(["photos", str(noise(tmp_path / "n", 3)), "--out", str(tmp_path / "s")]) == 1
+    assert "pip install 'paper_artifact[photos]'" in capsys.readouterr().err
+
+
+def test_folders_that_hold_too_little(tmp_path, capsys):
+    folder = noise(tmp_path / "n", 2)
+    (folder / "c.HEIC").write_bytes(b"x")
+
+    def refused(*words):
+        assert main(["photos", str(folder), "--out", str(tmp_path / "s"), *words]) == 1
+        return capsys.readouterr().err
+
+    assert "has 2 photographs" in refused() and "it also has .heic: convert" in refused()
+    assert "--size must be from 64" in refused("--size", "9")
+    for name in ("one.png", "one.bmp"):
+        Image.new("RGB", (64, 48)).save(folder / name)
+    assert "two photographs called one" in refused()
+    folder = tmp_path / "nowhere"
+    assert "no folder at" in refused()
+
+
+def test_doubts_are_told():
+    names = [f"{index}.jpg" for index in range(9)]
+    good = Registered(MUG, tuple(names), 4000, 0.5, 5.0, {})
+    assert doubts(good, names) == []
+    told = doubts(good._replace(names=tuple(names[:2]), points=20, error=2.0), names)
+    assert [line.split(" ")[0] for line in told] == ["2", "the", "the"] and "5.jpg, 6.jpg …" in told[0]
+
+
+def test_the_scene_stands_upright_and_looks_the_same():
+    cameras = fibonacci_cameras(make_shape("sphere"), 9, 40)[2:7]
+    turn = Rotation.from_euler("xyz", [100, 20, -50], degrees=True)
+    points = stream(0, "points").normal(size=(30, 3))
+    true = model_of(cameras, points)
+    bent = {
+        i: Pose(p.name, p.camera, tuple((c * turn.inv()).as_quat(scalar_first=True)), p.translation)
+        for (i, p), c in zip(
+            true.images.items(), (Rotation.from_matrix(c.rotation) for c in cameras), strict=True
+        )
+    }
+    turned = upright(Model(true.cameras, bent, true.point_ids, turn.apply(points), true.colours, true.errors))
+    up = sum(-turned.camera(index).rotation[1] for index in turned.images)
+    assert np.allclose(up[:2], 0, atol=1e-9) and up[2] > 0
+    for index in true.images:
+        ours, theirs = turned.camera(index), true.camera(index)
+        seen = [
+            c.rotation @ p.T + np.array(c.translation)[:, None]
+            for c, p in ((ours, turned.positions), (theirs, points))
+        ]
+        assert np.allclose(*seen)
+
+
+def test_pictures_of_several_sizes_are_cropped_and_the_empty_part_is_found(tmp_path):
+    cameras = list(fibonacci_cameras(make_shape("sphere"), 6, 96)[1:4])
+    points = 0.2 * stream(0, "points").normal(size=(400, 3))  # amid the picture
+    model = model_of(cameras, points)
+    wide = model.cameras[0]
+    model.cameras[0] = Intrinsics("PINHOLE", 104, 100, (*wide.parameters[:2], 52.0, 50.0))
+    (tmp_path / "in").mkdir(), (tmp_path / "out").mkdir()
+    for index, camera in model.cameras.items():
+        pixels = np.full((camera.height, camera.width, 3), (20, 120, 220), np.uint8)
+        middle = slice(camera.height // 2 - 20, camera.height // 2 + 20)
+        pixels[middle, camera.width // 2 - 20 : camera.width // 2 + 20] = 255
+        Image.fromarray(pixels).save(tmp_path / "in" / f"{index}.png")
+    cropped = _cropped(model, tmp_path / "in", tmp_path / "out")
+    assert {(c.width, c.height) for c in cropped.cameras.values()} == {(96, 96)}
+    assert cropped.cameras[0].parameters[2:] == (48.0, 48.0)
+    pictures = [np.asarray(Image.open(tmp_path / "out" / f"{index}.png")) for index in range(3)]
+    assert all((each == pictures[1]).all() for each in pictures)
+    assert np.allclose(empty_colour(cropped, tmp_path / "out"), np.array((20, 120, 220)) / 255, atol=0.01)
+
+
+def test_exposures_are_found_and_evened_out(tmp_path):
+    draws = stream(0, "exposures")
+    light, true = draws.uniform(0.05, 0.3, 500), np.array([0.6, 1.0, 1.3, 2.0])
+    true = true / np.exp(np.log(true).mean())
+    pairs = []
+    for exposure in true:
+        seen = draws.permutation(500)[:200]
+        values = exposure * light[seen] * np.exp(0.05 * draws.normal(size=200))
+        values[:10] = draws.uniform(0, 1, 10)  # a moving thing, a highlight
+        pairs.append((seen, values))
+    found = fitted_exposures(pairs)
+    assert np.allclose(found, true, rtol=0.03)
+    scene = draws.uniform(0.05, 0.4, (40, 40, 1)) * np.ones(3)
+    scene = np.kron(scene[::8, ::8], np.ones((8, 8, 1)))
+    for index, exposure in enumerate(true):
+        shown = np.rint(255 * to_shown(scene * exposure)).astype(np.uint8)
+        Image.fromarray(shown).save(tmp_path / f"{index}.png")
+    even_out(tmp_path, {f"{index}.png": exposure for index, exposure in enumerate(true)})
+    for index in range(4):
+        shown = np.asarray(Image.open(tmp_path / f"{index}.png"), float) / 255
+        assert np.abs(shown - to_shown(scene)).max() < 0.01
+
+
+def test_the_committed_model_of_the_mug_is_read():
+    model = read_model(MUG / "sparse" / "0")
+    true = json.loads((MUG / "cameras.json").read_text())["centres"]
+    assert {pose.name for pose in model.images.values()} <= set(true) and len(model.images) >= 40
