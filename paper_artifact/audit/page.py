@@ -149,12 +149,10 @@ def _margin_image(audit: Audit, dimension: int) -> str:
                 centre = [(m, np.median(values)) for m, values in middle.items() if values]
                 axis.plot(*np.transpose(centre), color="#1f5fbf", linewidth=0.9, alpha=1 - 0.2 * rank)
         axis.axhline(1.0, color="black", linestyle=":", linewidth=0.8)
-        axis.set(xscale="log", title=NAMES[dimension], xlabel="M", ylabel="bar / floor")
+        axis.set(xscale="log", title=NAMES[dimension], xlabel="samples M", ylabel="lifetime / floor")
         axis.set_ylim(bottom=0)
         axis.set_xticks(samples, [str(m) for m in samples], rotation=45)
         axis.minorticks_off()
-        axis.title.set_fontsize(9)
-        axis.tick_params(labelsize=7)
 
     return _image(draw, 3.4, 2.4, "svg", f"{NAMES[dimension]}: longest bars over the floor, by M")
 
@@ -172,7 +170,6 @@ def _diagram_image(audit: Audit, dimension: int) -> str:
 
     def draw(axis: Axes) -> None:
         draw_diagram(axis, bars, floor, limit, target, title)
-        axis.set(xlabel="birth", ylabel="death")
 
     return _image(draw, 3.2, 3.2, "png", f"persistence diagram, {title}")  # thousands of dots: as pixels
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from paper_artifact.alpha import alpha_diagrams
 from paper_artifact.errors import InputError
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.topology import BettiLoss
@@ -165,13 +165,13 @@ def holds(points: np.ndarray, demo: Demo) -> bool:
 def strip_figure(name: str) -> Figure:
     """Return the strip of a demonstration: its cloud at PICTURES steps, one scale."""
     own, demo = course(name), DEMOS[name]
-    figure, axes = new_figure(1, PICTURES, 2.1, 2.2)
+    figure, axes = new_figure(1, PICTURES, PAGE / PICTURES, 1.7)
     every = np.concatenate(own.frames)[:, list(demo.axes)]
     limits = tuple((low, high) for low, high in zip(every.min(axis=0), every.max(axis=0), strict=True))
     for axis, points, step in zip(axes[0], own.frames, own.steps, strict=True):
         draw_cloud(axis, points, f"step {step}", demo.axes, limits)
-        axis.set(xticks=[], yticks=[])
-    figure.suptitle(f"{name}: {demo.title}", fontsize=9)
+        axis.set(xticks=[], yticks=[], xlabel="", ylabel="")  # one scale, world units
+    figure.suptitle(f"{name}: {demo.title}")
     return figure
 
 

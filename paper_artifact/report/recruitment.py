@@ -16,7 +16,7 @@ import torch
 from matplotlib.figure import Figure
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.topology import BettiLoss, TopologyLoss, build_bundle
@@ -106,11 +106,12 @@ def claim_table() -> pd.DataFrame:
 
 def claim_figure() -> Figure:
     """Return the points before and after each descent with strays, seen from above."""
-    figure, axes = new_figure(1, 1 + len(LOSSES), 2.6, 2.0)
+    figure, axes = new_figure(1, 1 + len(LOSSES), PAGE / (1 + len(LOSSES)), 1.7)
     limits = ((-0.6, 1.6), (-0.6, 0.6))
     draw_cloud(axes[0][0], descended(LOSSES[0], True)[0], "before", (0, 1), limits)
     for axis, name in zip(axes[0][1:], LOSSES, strict=True):
-        draw_cloud(axis, descended(name, True)[1], f"after {STEPS} steps of {name}", (0, 1), limits)
+        draw_cloud(axis, descended(name, True)[1], f"{STEPS} steps of {name}", (0, 1), limits)
+        axis.set_ylabel("")
     return figure
 
 

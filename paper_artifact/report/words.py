@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.catalogue import colour_of, shape_row, tag_of
+from paper_artifact.catalogue import colour_of, marker_of, shape_row, tag_of
 from paper_artifact.config import STEPS_OF_THE_STUDY
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import label_axis
+from paper_artifact.report.kit.figures import label_axis, legend_below, mark_value, plain_log
 from paper_artifact.report.kit.records import Collected, collect_study, joined, key
 from paper_artifact.report.kit.text import (
     NOT_RECORDED,
@@ -139,28 +139,26 @@ def outcome_figure(runs: Collected) -> Figure:
     the range over the seeds."""
     arms, shapes = frames.arms(runs).set_index(frames.ARM), frames.shapes(runs)
     shapes = sorted(shapes, key=lambda shape: shape in DEVISED)
-    figure, axes = new_figure(1, 1, 9.0, 3.2)
+    figure, axes = new_figure(1, 1, PAGE, 2.9)
     axis = axes[0][0]
     for offset, arm in zip((-0.22, 0.0, 0.22), DESIGNS, strict=True):
+        style = {"color": colour_of(arm), "marker": marker_of(arm), "markersize": 4.5}
         for place, shape in enumerate(shapes):
             own = arms.loc[(shape, arm)] if (shape, arm) in arms.index else None
             base = arms["mean"].get((shape, BASELINE), np.nan)
             if own is None or not own["tails"] or np.isnan(base):
                 continue
-            axis.plot(
-                [place + offset] * 2,
-                [min(own["tails"]) / base, max(own["tails"]) / base],
-                color=colour_of(arm),
-            )
-            axis.plot(place + offset, own["mean"] / base, "o", color=colour_of(arm), markersize=4)
-        axis.plot([], [], "o-", color=colour_of(arm), label=arm, markersize=4)
-    axis.axhline(1.0, color="#555555", linewidth=0.8, linestyle="--")
-    axis.set_xticks(range(len(shapes)), shapes, rotation=40, ha="right")
-    axis.set_yscale("log")
-    axis.set_yticks([0.1, 0.2, 0.5, 1, 2], ["0.1", "0.2", "0.5", "1", "2"])
+            ends = [min(own["tails"]) / base, max(own["tails"]) / base]
+            axis.plot([place + offset] * 2, ends, color=colour_of(arm))
+            axis.plot(place + offset, own["mean"] / base, **style)
+        axis.plot([], [], label=arm, **style)
+    mark_value(axis, 1.0).set_label(BASELINE)
+    label_axis(axis, "", "", "tail bottleneck ÷ C0's (no unit)")
+    plain_log(axis)
+    axis.set_yticks([0.1, 0.2, 0.5, 1, 2])
     axis.minorticks_off()
-    label_axis(axis, "tail bottleneck ÷ C0's (range of the seeds)", grid=True)
-    axis.legend(fontsize=8, ncols=3)
+    axis.set_xticks(range(len(shapes)), shapes, rotation=40, ha="right")
+    legend_below(figure)
     return figure
 
 
