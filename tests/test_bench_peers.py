@@ -12,18 +12,19 @@ import torch
 
 from paper_artifact import cli
 from paper_artifact.alpha.persistence import gudhi_persistence
-from paper_artifact.bench import peers
+from paper_artifact.bench import peers, words_task
 from paper_artifact.cli import bench
 from paper_artifact.errors import InputError
 from paper_artifact.report import measured
 from paper_artifact.report.peers import peers_machine, peers_table
 
 NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topological.nn")
+SMALL = words_task.Task("a small hole", lambda: words_task.slab(200), (1, 1, 0), 1, 8e-3, steps=40)
 
 
 @pytest.fixture
 def absent(monkeypatch):
-    for name in NAMES:
+    for name in (*NAMES, "topologylayer", "topologylayer.nn"):
         monkeypatch.setitem(sys.modules, name, None)
 
 
@@ -175,9 +176,13 @@ def test_bad_input(arguments, words):
 
 def test_the_verb_prints_our_row_and_how_to_install_the_others(absent, own_threads, monkeypatch, capsys):
     monkeypatch.setattr(peers, "peer_rows", functools.partial(peers.peer_rows, (100,), ("torus",)))
+    monkeypatch.setattr(words_task, "task_rows", functools.partial(words_task.task_rows, (SMALL,)))
     assert cli.main(["bench", "peers", "--repetitions", "1"]) == 0
     printed = capsys.readouterr()
     assert "torus M =   100  paper_artifact" in printed.out and "1.0 × ours" in printed.out
+    assert "a small hole      paper_artifact, BettiLoss         held from step" in printed.out
+    assert printed.out.count("TopologyLayer: does not import (") == 1
+    assert printed.out.count("torch-topological: does not import (") == 1
     assert (
         "oineus.diff: does not import (ModuleNotFoundError" in printed.out
         and "pip install oineus eagerpy diode" in printed.out
@@ -214,3 +219,22 @@ def test_the_stored_table_says_who_computes_the_same():
     assert "load" in peers_machine(
         stored
     ) and "torch-topological: not measured on torus beyond M = 2048" in peers_machine(stored)
+
+
+def test_everyone_is_given_the_same_task(stand_ins):
+    """Our loss and the one of tensors agree; a library that computes the same takes our steps."""
+    points = torch.tensor(SMALL.cloud())
+    loss = words_task.BettiLoss(SMALL.betti, diagonal=1.0, guard=0.0, suppress="all", dimensions=(1,))
+    both = [loss(points), words_task.words_loss(peers.our_diagrams, points, SMALL)]
+    assert both[0].item() == pytest.approx(both[1].item(), rel=1e-9)
+    missing = []
+    rows = list(words_task.task_rows((SMALL,), words_task.PEERS[:1], missing))
+    assert [row["library"].removeprefix("paper_artifact, ") for row in rows] == [
+        "BettiLoss",
+        "BettiLoss, K = 10",
+        "diagrams",
+        "oineus.diff",
+    ]
+    assert not missing and rows[0]["step"] == rows[2]["step"] == rows[3]["step"] > 0
+    assert rows[0]["ratio"] == 1 and rows[3]["seconds"] > 0
+    assert not words_task.holds(SMALL.cloud(), SMALL)

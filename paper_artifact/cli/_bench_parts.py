@@ -188,6 +188,7 @@ def print_gpu(folder: Path, arguments: argparse.Namespace) -> None:
 def print_peers(folder: Path, arguments: argparse.Namespace) -> None:
     """Print differentiable diagrams beside other libraries'."""
     from paper_artifact.bench.peers import peer_rows
+    from paper_artifact.bench.words_task import task_rows
 
     print(
         "Differentiable alpha diagrams: sum of squared lifetimes of dimension 1 (radii), forward and "
@@ -201,5 +202,17 @@ def print_peers(folder: Path, arguments: argparse.Namespace) -> None:
         both = f"backward {row['backward_ms']:8.1f}   both {row['ratio']:7.1f} × ours"
         agreement = f"bars {row['bar_difference']:.0e}   gradient {row['gradient_difference']:.0e}"
         print(f"  {case} {forward}   {both}   {agreement}   [{row['version']}: {row['note']}]", flush=True)
-    for line in missing:
+    print(
+        "Betti numbers in words: CPU seconds of Adam's steps until the cloud has them (T2's loss, one thread)"
+    )
+    unable: list[str] = []
+    for row in task_rows(missing=unable):
+        reached = "not reached" if row["step"] is None else f"held from step {row['step']:3d}"
+        ratio = "" if row["ratio"] is None else f"   {row['ratio']:6.1f} × BettiLoss"
+        print(
+            f"  {row['task']:17s} {row['library']:33s} {reached}   {row['seconds']:7.2f} s   "
+            f"{row['ms']:7.1f} ms a step{ratio}",
+            flush=True,
+        )
+    for line in dict.fromkeys(missing + unable):
         print(f"  {line}")

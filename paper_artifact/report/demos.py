@@ -17,6 +17,7 @@ import torch
 from matplotlib.figure import Figure
 
 from paper_artifact.alpha import alpha_diagrams
+from paper_artifact.bench.words_task import punctured_sphere, slab
 from paper_artifact.errors import InputError
 from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.randomness import stream
@@ -39,21 +40,6 @@ class Demo:
     steps: int = 150  # of Adam, at most
     rate: float = 4e-3  # of Adam, in the cloud's unit
     axes: tuple[int, int] = (0, 1)  # that its pictures show
-
-
-def slab(count: int = 600) -> np.ndarray:
-    """Return a square sheet without a hole, (count,3), side 1, a fiftieth thick."""
-    return stream(0, "demo slab").random((count, 3)) * [1, 1, 0.02]
-
-
-def punctured_sphere(count: int = 1500, openings: tuple[float, float] = (0.4, 0.6)) -> np.ndarray:
-    """Return a unit sphere, (about count,3), without caps of these radii at both ends of the x axis.
-
-    Of one puncture no loop would tell, since the rest of the sphere fills it; of two one does.
-    """
-    points = _sphere(count)
-    away = np.linalg.norm(points[:, 1:], axis=1)
-    return points[away > np.where(points[:, 0] > 0, *openings)]
 
 
 def dumbbell(count: int = 700) -> np.ndarray:
@@ -80,17 +66,16 @@ def linked_rings(count: int = 1200, centre: float = 1.9) -> np.ndarray:
     return np.concatenate([ring[:half], ring[half:][:, [0, 2, 1]] + [centre, 0, 0]])
 
 
-def _sphere(count: int) -> np.ndarray:
-    points = stream(0, "demo sphere").standard_normal((count, 3))
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
-
-
 DEMOS = {
     "grow a hole": Demo(
         "a sheet is said to have one loop", (1, 1, 0), slab, {**T2, "dimensions": (1,)}, rate=3e-3
     ),
     "close a puncture": Demo(
-        "a sphere with two punctures is said to have no loop", (1, 0, 1), punctured_sphere, rate=8e-3
+        "a sphere with two punctures is said to have no loop",
+        (1, 0, 1),
+        punctured_sphere,
+        {**T2, "dimensions": (1,)},
+        rate=6e-3,
     ),
     "cut a bridge": Demo(
         "a dumbbell is said to be two",
@@ -104,6 +89,7 @@ DEMOS = {
         (2, 2, 0),
         linked_rings,
         {"guard": 0.0, "dimensions": (0, 1)},
+        steps=240,
         rate=1e-2,
         axes=(0, 2),
     ),
@@ -127,7 +113,7 @@ def course(name: str) -> Course:
         raise InputError(f"no demonstration is called {name!r}; choose one of {', '.join(DEMOS)}")
     demo = DEMOS[name]
     points = torch.tensor(demo.cloud(), requires_grad=True)
-    loss = BettiLoss(demo.betti, refresh_every=5, **demo.settings)
+    loss = BettiLoss(demo.betti, refresh_every=1, **demo.settings)
     optimiser, clouds, reached = torch.optim.Adam([points], lr=demo.rate), [], None
     for step in range(demo.steps + 1):
         clouds.append(points.detach().numpy().copy())

@@ -26,7 +26,7 @@ from paper_artifact.topology.pulls import DIAGONAL, KINDS
 
 POINTS, OUTER, NARROW, WIDE, THICKNESS = 1500, 0.5, 0.08, 0.3, 0.01
 STRAYS, AWAY = 0.25, 1.2  # circumradius of the three strays, and the distance of their centre
-STEPS, RATE = 120, 2e-3  # of Adam; the points' unit is the disc's
+STEPS, RATE = 200, 1e-3  # of Adam; the points' unit is the disc's
 CASES = ("the disc alone", "three strays beside it")
 LOSSES = ("C1", "T1", "T2")
 
