@@ -158,6 +158,7 @@ def outcome_figure(runs: Collected) -> Figure:
     axis.set_yticks([0.1, 0.2, 0.5, 1, 2])
     axis.minorticks_off()
     axis.set_xticks(range(len(shapes)), shapes, rotation=40, ha="right")
+    axis.set_xlim(-0.6, len(shapes) - 0.4)
     legend_below(figure)
     return figure
 

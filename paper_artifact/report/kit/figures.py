@@ -146,6 +146,7 @@ def arm_styles(arms: Sequence[str]) -> dict[str, dict[str, Any]]:
             "color": colour_of(arm),
             "marker": marker_of(arm),
             "linestyle": "-" if tag_of(arm) == arm else next(broken),
+            "gapcolor": None if tag_of(arm) == arm else "white",  # seen on the condition's own line, too
             "linewidth": width,
             "markevery": (place % every, every),
         }
