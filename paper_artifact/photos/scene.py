@@ -16,20 +16,21 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json
+from paper_artifact.files import load_json, write_json
 from paper_artifact.photos.exposure import even_out
 from paper_artifact.photos.register import HINTS, LEAST, Registered, need_pycolmap, register
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.holdout import AUTO
+from paper_artifact.scene.images import IMAGE_FORMATS
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same photographs would give another scene
@@ -94,7 +95,7 @@ def photographs_scene(
     photographs = photographs_in(source)
     key = _key(photographs, config)
     if holds(folder, key):
-        held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["photographs"]
+        held = load_json(folder / DESCRIPTION)["photographs"]
         return Registered(folder, **{**held, "names": tuple(held["names"])})
     colmap = need_pycolmap()
     with whole_folder(folder) as temporary:
@@ -184,7 +185,7 @@ def _prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bo
     cameras: dict[tuple, list[str]] = defaultdict(list)
     for file in tqdm(photographs, desc="reading", unit="photo", disable=not progress):
         try:
-            with Image.open(file) as opened:
+            with Image.open(file, formats=IMAGE_FORMATS) as opened:
                 exif = opened.getexif()
                 own = exif.get_ifd(ExifTags.IFD.Exif)
                 exif.pop(ExifTags.Base.Orientation, None)
@@ -193,7 +194,7 @@ def _prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bo
             picture.thumbnail((size, size), Image.Resampling.LANCZOS)
             target = folder / f"{file.stem}.jpg"
             picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
-        except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+        except Exception as error:  # PIL's decoders raise whatever their decoding meets
             raise InputError(f"{file} is damaged or no photograph ({error}); leave it out") from error
         focal = str(own.get(ExifTags.Base.FocalLength))
         cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)

@@ -13,19 +13,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json
+from paper_artifact.files import inside, load_json, write_json
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.hull import hull_cloud, view_box
+from paper_artifact.scene.images import IMAGE_FORMATS, MOST_PIXELS
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same file would give another scene
@@ -68,7 +69,7 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[tuple[Pa
     """
     file = Path(file)
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = load_json(file)
         frames = [
             (str(each["file_path"]), np.array(each["transform_matrix"], np.float64))
             for each in content["frames"]
@@ -76,7 +77,7 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[tuple[Pa
         values = {name: float(value) for name, value in content.items() if isinstance(value, (int, float))}
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; give a transforms.json") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no transforms.json ({error}); export it again") from error
     bent = [name for name in DISTORTION if values.get(name)]
     if bent:
@@ -131,7 +132,7 @@ def transforms_scene(
 
 def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) -> tuple[Path, Camera]:
     """Return a frame's image file and its camera; `matrix` is camera → world."""
-    path = next((p for p in (file.parent / (name + end) for end in ENDINGS) if p.is_file()), None)
+    path = next((p for p in (inside(file.parent, name + end) for end in ENDINGS) if p.is_file()), None)
     if path is None:
         raise InputError(f"{file} lists the image {name}, which is not there; copy the images too")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-9:
@@ -163,12 +164,16 @@ def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) 
 def _opened(path: Path, size_only: bool = False) -> Image.Image:
     """Return the image, RGB or RGBA; size_only: unread, its size is known."""
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=IMAGE_FORMATS) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise InputError(f"{path} has {image.width}×{image.height} pixels, too many; scale it down")
             if size_only:
                 return image
             clear = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
             return image.convert("RGBA" if clear else "RGB")
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # PIL's decoders raise whatever their decoding meets
         raise InputError(f"{path} is damaged or no image; copy it again") from error
 
 

@@ -4,7 +4,6 @@ scene.json."""
 from __future__ import annotations
 
 import glob
-import json
 import os
 import shutil
 import tempfile
@@ -14,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from paper_artifact.errors import InputError
+from paper_artifact.files import load_json
 from paper_artifact.scene.folder import DESCRIPTION
 
 STALE = 3600.0  # seconds
@@ -27,7 +27,7 @@ def holds(folder: Path, key: str) -> bool:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     try:
-        held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["key"]
+        held = load_json(folder / DESCRIPTION)["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder} exists and is no scene of this package; choose another folder or remove it"
