@@ -159,8 +159,8 @@ def test_a_dirty_sphere_is_cleaned():
     noisy = points * (1 + 0.02 * draws.standard_normal((3000, 1)))
     far = np.concatenate([noisy, draws.uniform(-3, 3, (100, 3))])
     found = cleaned(far)
-    off = np.abs(np.linalg.norm(found, axis=1) - 1)
-    assert 2950 <= len(found) <= 3020 and off.mean() < 0.4 * 0.02 * np.sqrt(2 / np.pi) + 0.003
+    before, after = (np.abs(np.linalg.norm(each, axis=1) - 1) for each in (noisy, found))
+    assert 2950 <= len(found) <= 3020 and after.mean() < 0.7 * before.mean() and after.max() < 0.3
     assert len(trimmed(points)) == 3000 and np.allclose(projected(points), points, atol=0.02)
     with pytest.raises(InputError, match="cleaning needs at least 4 finite points"):
         cleaned(np.full((9, 3), np.nan))

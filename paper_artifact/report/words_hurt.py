@@ -232,9 +232,7 @@ def _views(realism: Collected, clean: Collected) -> str:
         for arm in WORDS
         if arm in arms
     ]
-    return (
-        f"with {FEWEST} words beat C0 in {sum(found)} of {len(found)} runs" if found else f"({NOT_RECORDED})"
-    )
+    return f"with {FEWEST} words beat C0 in {sum(found)} of {len(found)} runs" if found else NOT_RECORDED
 
 
 def _troubles(realism: Collected, clean: Collected, shape: str) -> dict[str, dict[str, dict]]:
