@@ -43,12 +43,13 @@ def voxels(soup: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def poisson(soup: Mesh, pymeshlab: ModuleType) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and faces of pymeshlab's screened Poisson surface of SAMPLES points of the soup, with
-    normals by its own filter for point clouds, all settings its defaults."""
+    normals by its own filter for point clouds; one thread (more of them spin on a busy machine), all
+    other settings its defaults."""
     points = sample_surface(soup.vertices, soup.faces, SAMPLES, stream(0, "solid: poisson"))[0]
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(vertex_matrix=points))
     meshes.compute_normal_for_point_clouds()
-    meshes.generate_surface_reconstruction_screened_poisson(depth=DEPTH)
+    meshes.generate_surface_reconstruction_screened_poisson(depth=DEPTH, threads=1)
     made = meshes.current_mesh()
     return np.asarray(made.vertex_matrix()), np.asarray(made.face_matrix())
 
