@@ -48,7 +48,9 @@ class Condition:
 
     name: str
     description: str
-    colour: str  # in every figure: grey baseline, blue loss and its variants, red controls
+    # in every figure: grey baseline, blue loss, red controls; arms that stand in one figure can be told
+    # apart in every kind of colour vision (tests/test_figures.py)
+    colour: str
     loss: LossConfig | None = None  # what it adds; None: nothing, and no code of the topology package is run
     allocation: AllocationConfig | None = None  # the prior of its resampling; None: DiffSoup's own
 
@@ -95,44 +97,45 @@ CONDITIONS: tuple[Condition, ...] = (
         "#c0392b",
         LossConfig("repulsion"),
     ),
-    Condition("C2g", "C2 with half the radius", "#e59866", LossConfig("repulsion", repulsion_radius=2.0)),
-    Condition("C3", "C1 without the ramp", "#2e9cca", LossConfig(ramp=None)),
+    Condition("C2g", "C2 with half the radius", "#5a241d", LossConfig("repulsion", repulsion_radius=2.0)),
+    Condition("C3", "C1 without the ramp", "#5fcbe8", LossConfig(ramp=None)),
     # Deferred in the paper; the definition is ours (see `paper_artifact.topology.curvature`).
-    Condition("C4", "C1 with curvature-weighted terms", "#7d5ba6", LossConfig(curvature_weighted=True)),
+    Condition("C4", "C1 with curvature-weighted terms", "#8f8d96", LossConfig(curvature_weighted=True)),
     Condition(
-        "C5", "C1 with the spread prior B4", "#1e8449", LossConfig(), allocation=replace(PRIOR, spread=3.0)
+        "C5", "C1 with the spread prior B4", "#d3bf20", LossConfig(), allocation=replace(PRIOR, spread=3.0)
     ),
-    Condition("C6", "C1 without recruitment", "#b7950b", LossConfig(recruitment=False)),
-    Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#6fa8dc", LossConfig(noise=0.005)),
-    Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#a9cce3", LossConfig(noise=0.01)),
+    Condition("C6", "C1 without recruitment", "#7fa878", LossConfig(recruitment=False)),
+    Condition("C7", "C1, the plan sees noise of 0.5 % of the diagonal", "#927eff", LossConfig(noise=0.005)),
+    Condition("C7h", "C1, the plan sees noise of 1 % of the diagonal", "#4c245d", LossConfig(noise=0.01)),
     # The allocation study's arms (App. A); its baseline B0 is C0.
-    Condition("B1", "B2 for the first triangles only", "#a6761d", allocation=replace(PRIOR, levers="start")),
-    Condition("B2", "concentrated topological prior", "#7570b3", allocation=PRIOR),
+    Condition("B1", "B2 for the first triangles only", "#925c1c", allocation=replace(PRIOR, levers="start")),
+    Condition("B2", "concentrated topological prior", "#6a35a8", allocation=PRIOR),
     Condition(
-        "B3", "random centres, as narrow as B2", "#bcbddc", allocation=replace(PRIOR, centres="random")
+        "B3", "random centres, as narrow as B2", "#bfa0e6", allocation=replace(PRIOR, centres="random")
     ),
-    Condition("B4", "spread topological prior", "#1b9e77", allocation=replace(PRIOR, spread=3.0)),
+    Condition("B4", "spread topological prior", "#0f9a7c", allocation=replace(PRIOR, spread=3.0)),
     Condition(
         "B5",
         "random centres, as wide as B4",
-        "#a1d99b",
+        "#8fcfb4",
         allocation=replace(PRIOR, centres="random", spread=3.0),
     ),
     # Not the paper's: no ground truth, Betti numbers in words (`paper_artifact.topology.betti`).
     Condition(
         "T1",
         "Betti numbers in words; other bars above the floor to the diagonal",
-        "#d81b60",
+        "#e39a1a",
         LossConfig("betti"),
     ),
     Condition(
         "T2",
         "Betti numbers in words; all other bars of H1 and H2 to the diagonal",
-        "#f48fb1",
+        "#7fb0fa",
         LossConfig("betti", guard=0.0, suppress="all"),
     ),
 )
 
+MARKERS = (*"os^vDPX<>phd*8H", (4, 1, 0), (6, 1, 0))  # of the conditions, in the order of their rows
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
 
 
@@ -162,6 +165,12 @@ def tag_of(arm: str) -> str:
 def colour_of(arm: str) -> str:
     """Return the colour of an arm's condition in every figure; grey for a tag that only the paper has."""
     return next((each.colour for each in CONDITIONS if each.name == tag_of(arm)), "#999999")
+
+
+def marker_of(arm: str) -> str | tuple[int, int, int]:
+    """Return the (filled) matplotlib marker of an arm's condition in every figure of lines, by its row."""
+    names = [each.name for each in CONDITIONS]
+    return MARKERS[names.index(tag_of(arm)) % len(MARKERS)] if tag_of(arm) in names else "."
 
 
 def in_order(names: Sequence[str]) -> list[str]:

@@ -285,8 +285,10 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
     A field that is not there has the default it had in `version`. Raises InputError for an unknown field or
     version.
     """
-    given = dict(values)
-    parts = {name: given.pop(name, None) for name in PARTS}
+    given = dict(values) if isinstance(values, Mapping) else None
+    parts = {name: given.pop(name, None) for name in PARTS} if given is not None else {}
+    if given is None or not all(part is None or isinstance(part, Mapping) for part in parts.values()):
+        raise InputError(f"a configuration is settings by name, and so is its loss, got {values!r:.60}")
     run = with_changes(RunConfig(given.pop("shape", "")), {**_former(version, ""), **given})
     made = {
         name: with_changes(PARTS[name](), {**_former(version, f"{name}."), **part})
@@ -318,7 +320,7 @@ def _differing(config: Config, base: Config) -> dict[str, Any]:
 def _former(version: int, prefix: str) -> dict[str, Any]:
     """Return the defaults of `version` that have changed since, of the fields whose names begin with
     `prefix`."""
-    if not 1 <= version <= DEFAULTS_VERSION:
+    if not isinstance(version, int) or not 1 <= version <= DEFAULTS_VERSION:
         raise InputError(
             f"the defaults' version {version} is unknown to this code, which knows 1 to {DEFAULTS_VERSION}"
         )

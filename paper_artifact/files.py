@@ -10,18 +10,24 @@ temporary file in the same folder, are flushed to disk, and take the final name 
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from paper_artifact.errors import InputError
 
 RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
+DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})  # EFBIG: the process's own limit
+LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
+DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
+FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
 def find_checkout(package: Path) -> Path | None:
@@ -35,11 +41,20 @@ RESULTS = Path(os.environ.get(RESULTS_VARIABLE) or REPOSITORY / "results").absol
 OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from whatever folder one calls
 
 
+def write_failure(path: Path | str, error: OSError) -> InputError:
+    """Return the InputError for what could not be written (a path, or words for it) because of `error`."""
+    why = error.strerror or str(error)
+    if error.errno in DISK_FULL:
+        return InputError(f"cannot write {path}: {why}; free some space and run the same command again")
+    return InputError(f"cannot write {path}: {why}; choose a folder that you can write to")
+
+
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on a clean exit it takes the name `path`, else it is removed.
 
-    Raises InputError when the folder cannot be made or written.
+    Raises InputError when the folder cannot be made or written, or when the disk is full or fails, be it at
+    the first byte or the last; what was at `path` before is still there then.
     """
     path = Path(path)
     try:
@@ -48,19 +63,27 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             prefix=f".{path.stem}-", suffix=".partial" + path.suffix, dir=path.parent
         )
     except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror}; choose a folder that you can write to"
-        ) from error
+        raise write_failure(path, error) from error
     os.close(handle)
     temporary = Path(name)
     try:
-        yield temporary
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
+        try:
+            yield temporary
+        except OSError as error:
+            # Only the disk's own errors: the caller may be reading from a network or another file as well.
+            if error.errno in DISK_FULL | DISK_BROKEN:
+                raise write_failure(path, error) from error
+            raise
+        try:
+            with open(temporary, "rb") as written:
+                os.fsync(written.fileno())
+            temporary.chmod(0o644)
+            os.replace(temporary, path)
+        except OSError as error:
+            raise write_failure(path, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # on a disk that fails, the error above is the one to tell
+            temporary.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
@@ -79,22 +102,87 @@ def write_json(path: Path | str, value: Any) -> None:
     write_text(path, json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
+def load_json(path: Path | str) -> Any:
+    """Return what the JSON file at `path` holds.
+
+    Raises OSError when it cannot be read, ValueError when it is damaged, holds NaN or is nested without end.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def write_npz(path: Path | str, arrays: Mapping[str, Any], compressed: bool = True) -> None:
+    """Write arrays by name as .npz to `path`, atomically. Raises InputError as `write_bytes` does."""
+    import numpy as np  # only here: this module is imported by verbs that need no numbers
+
+    # In memory first: an archive that meets a full disk half-way complains once more when it is cleared away.
+    content = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(content, **arrays)
+    write_bytes(path, content.getvalue())
+
+
 def load_npz(path: Path | str) -> dict[str, Any]:
     """Return the arrays of the .npz file at `path` by name.
 
-    Raises OSError when the file cannot be read, ValueError when it is damaged, no archive, or holds pickles.
+    Every byte is held against the archive's checksums. Raises OSError when the file cannot be read,
+    ValueError when it is damaged, no archive, holds pickles or unpacks to more than LARGEST bytes.
     """
-    import numpy as np  # only here: this module is imported by verbs that need no numbers
-
     try:
-        # Opened here, because numpy leaves the file open when it is no sound archive.
-        with open(path, "rb") as handle:
-            if not zipfile.is_zipfile(handle):
-                raise ValueError("it is cut off or no .npz archive")
-            handle.seek(0)
-            with np.load(handle) as stored:
-                return dict(stored)
-    except OSError:
+        with zipfile.ZipFile(path) as archive:
+            check_archive(archive)
+            return {name.removesuffix(".npy"): _array(archive.read(name)) for name in archive.namelist()}
+    except zipfile.BadZipFile as error:
+        raise ValueError(f"it is damaged, cut off or no .npz archive: {error}") from error
+    except (OSError, ValueError):
         raise
-    except Exception as error:  # numpy, zipfile and zlib raise many kinds
+    except Exception as error:  # zipfile, zlib and numpy raise many kinds
         raise ValueError(str(error) or type(error).__name__) from error
+
+
+def check_archive(archive: zipfile.ZipFile) -> None:
+    """Raise ValueError when a zip archive says that it unpacks to more than LARGEST bytes, or cannot be held
+    to that."""
+    members = archive.infolist()
+    size = sum(member.file_size for member in members)
+    if size > LARGEST:
+        raise ValueError(f"it unpacks to {size} bytes, more than the {LARGEST} that are read")
+    # The size that is given binds the reader for these two only.
+    if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
+        raise ValueError("it is packed by a method that is not read")
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of `name` below `folder`; it need not be there.
+
+    Raises InputError when the name, or a symbolic link on the way, leads out of the folder.
+    """
+    path = folder / name
+    try:
+        leads_out = not path.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a name with a zero byte
+        raise InputError(f"{folder} names a file {name!r}, which is no path; export it again") from error
+    if leads_out:
+        raise InputError(
+            f"{folder} names the file {name}, which lies outside of it; copy the file into the folder, "
+            "without '..' and without a symbolic link"
+        )
+    return path
+
+
+def _array(data: bytes) -> Any:
+    """Return the array of a .npy file's bytes: never more memory than they take."""
+    import numpy as np
+
+    stream = io.BytesIO(data)
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, by_columns, kind = header[np.lib.format.read_magic(stream)](stream)
+    if kind.hasobject:
+        raise ValueError("it holds pickled objects, which are not read")
+    flat = np.frombuffer(data, kind, offset=stream.tell())
+    return flat.reshape(shape, order="F" if by_columns else "C").copy()
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"it holds {name}, which JSON does not know")

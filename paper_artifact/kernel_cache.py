@@ -7,7 +7,8 @@ its module and of every module of the package that this one imports, directly or
 what may depend on it is compiled again.
 
 Where no folder can be written, numba raises. Here the kernels go to a temporary folder, which child processes
-share and the end of this process removes; that is said once, on stderr.
+share and the end of this process removes; where the disk is full, they are not kept. Either is said once, on
+stderr.
 """
 
 from __future__ import annotations
@@ -98,12 +99,29 @@ def _use_temporary_folder() -> None:
     folder = tempfile.mkdtemp(prefix="paper_artifact-kernels-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ[_VARIABLE] = config.CACHE_DIR = folder  # child processes find it there and say nothing
+    _tell("neither beside the package nor in the user's cache folder")
+
+
+@functools.cache
+def _tell(why: str) -> None:
+    """Say on stderr, once, that compiled kernels are lost and what to do."""
     print(
-        "paper_artifact: compiled kernels cannot be kept (neither beside the package nor in the user's cache "
-        "folder), so each start compiles them again, about half a minute; "
-        f"{_VARIABLE} names a folder that can be written",
+        f"paper_artifact: compiled kernels cannot be kept ({why}), so each start compiles them again, about "
+        f"half a minute; {_VARIABLE} names a folder that can be written",
         file=sys.stderr,
     )
 
 
+def _save_or_go_on(cache: caching.Cache, signature, kernel) -> None:
+    """Keep a compiled kernel as numba does; where the disk is full, one of this package is used unkept."""
+    try:
+        _numbas_save(cache, signature, kernel)
+    except OSError as error:
+        if not isinstance(cache._impl.locator, PackageLocator):
+            raise
+        _tell(error.strerror or str(error))
+
+
+_numbas_save = caching.Cache.save_overload
+caching.Cache.save_overload = _save_or_go_on
 caching.CacheImpl._locator_classes.insert(0, PackageLocator)

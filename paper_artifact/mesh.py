@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import warnings
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,11 +16,13 @@ import numpy as np
 import trimesh
 
 from paper_artifact.errors import InputError
+from paper_artifact.files import check_archive
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
+MOST_FACES = 20_000_000  # of a file, its instances counted each time
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +133,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     try:
         if kind in ("obj", "off"):
             _check_whole(path, kind)
+        _check_declared(path, kind)
         with _silent_trimesh():
             parts = _scene_parts(trimesh.load_scene(path, process=False, maintain_order=True))
     except InputError:
@@ -173,10 +178,13 @@ def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the scene's meshes as (vertices, faces), each placed by its node's transform; no points, no
     curves.
     """
-    parts = []
+    parts, count = [], 0
     for node in sorted(scene.graph.nodes_geometry):
         transform, key = scene.graph[node]
         geometry = scene.geometry[key]
+        count += len(getattr(geometry, "faces", ()))
+        if count > MOST_FACES:
+            raise ValueError(f"it has more than {MOST_FACES} triangles")
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
@@ -215,6 +223,30 @@ def _check_whole(path: Path, kind: str) -> None:
         raise InputError(
             f"{path} is cut off: its last line or its number of lines is short; copy or export it again"
         )
+
+
+def _check_declared(path: Path, kind: str) -> None:
+    """Raise ValueError for a file that makes trimesh ask for far more memory than the file has bytes."""
+    if kind == "zip":
+        with zipfile.ZipFile(path) as archive:
+            check_archive(archive)
+    if kind not in ("glb", "gltf"):
+        return
+    data = path.read_bytes()
+    text = data
+    if kind == "glb":
+        chunks, place = [], 12
+        while place + 8 <= len(data):
+            length = int.from_bytes(data[place : place + 4], "little")
+            chunks.append(data[place + 8 : place + 8 + length])
+            place += 8 + length
+        if place > len(data) or not chunks:
+            raise ValueError(f"it ends before its byte {place}")
+        text = chunks[0]
+    header = json.loads(text)
+    empty = sum(each["count"] for each in header.get("accessors", ()) if "bufferView" not in each)
+    if empty > len(data):
+        raise ValueError(f"it names {empty} values that it does not hold")
 
 
 @contextmanager

@@ -21,10 +21,11 @@ import nbformat
 from nbformat import NotebookNode
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, RESULTS, write_text
+from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, write_text
 
 NOTEBOOKS = REPOSITORY / "notebooks"
 EXECUTED = RESULTS / "executed"
+FIGURES = RESULTS / "book" / "figures"
 PROFILES = ("recorded", "full")
 KERNEL = "python3"
 LONGEST_ERROR = 160  # characters of an error in the table
@@ -85,10 +86,30 @@ def own_kernel() -> Iterator[str]:
                 os.environ["JUPYTER_PATH"] = before
 
 
+@contextmanager
+def figures_of(path: Path, folder: Path) -> Iterator[None]:
+    """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg, in place of those
+    that are there (see `report.kit.figures.show`)."""
+    for old in folder.glob(f"{path.stem}_*.svg"):
+        old.unlink()
+    os.environ[FIGURES_VARIABLE] = str(folder.absolute() / path.stem)
+    try:
+        yield
+    finally:
+        del os.environ[FIGURES_VARIABLE]
+
+
 def execute(
-    path: Path, profile: str, *, executed: Path = EXECUTED, refresh: bool = False, quiet: bool = False
+    path: Path,
+    profile: str,
+    *,
+    executed: Path = EXECUTED,
+    figures: Path = FIGURES,
+    refresh: bool = False,
+    quiet: bool = False,
 ) -> Execution:
-    """Execute one notebook with the parameter `profile` and keep the executed copy in `executed`.
+    """Execute one notebook with the parameter `profile`; keep the executed copy in `executed` and its
+    figures in `figures`.
 
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
     error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call
@@ -108,15 +129,16 @@ def execute(
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, error = time.monotonic(), ""
     try:
-        notebook = papermill.execute_notebook(
-            path,
-            executed / path.name,
-            parameters={"profile": profile},
-            cwd=path.parent,
-            kernel_name=KERNEL,
-            language="python",
-            progress_bar=bar,
-        )
+        with figures_of(path, figures):
+            notebook = papermill.execute_notebook(
+                path,
+                executed / path.name,
+                parameters={"profile": profile},
+                cwd=path.parent,
+                kernel_name=KERNEL,
+                language="python",
+                progress_bar=bar,
+            )
         if refresh:
             write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
     except PapermillExecutionError as caught:

@@ -17,7 +17,7 @@ from paper_artifact.config import NOISES, AllocationConfig, GivenConfig, RunConf
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_alone, evaluate_soup, make_target, tails
-from paper_artifact.files import OWN, RESULTS
+from paper_artifact.files import OWN, RESULTS, write_failure
 from paper_artifact.frame import SAME
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
@@ -203,9 +203,7 @@ def run(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"cannot write results to {results}: {error.strerror}; choose a folder that you can write to"
-        ) from error
+        raise write_failure(f"results to {results}", error) from error
     if given.folder is not None and config.given is not None:
         scene = given_scene(config, given.folder)
         if tell is not None:

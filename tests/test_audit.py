@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.audit.marks import find_marks, view_parts
 from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
 from paper_artifact.audit.rule import DENSITIES, Rung, decide
@@ -25,8 +26,11 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.staircase import measure
 from paper_artifact.mesh import checked_mesh
 from paper_artifact.pipeline import make_run_term
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.topology.bundle import load_bundle
+from paper_artifact.topology.floor import measurement_floor
 from tests import certify_shapes as shapes
 
 SMALL = {"densities": (256, 512), "working": (256, 512)}
@@ -99,13 +103,17 @@ def test_nothing_measurable_is_said():
 def test_the_command_builds_the_audits_bundle_again():
     audit = audit_mesh(find_mesh("sphere"), "sphere", **SMALL)
     assert audit.decision.dimension == 2 and audit.bundle.samples == audit.decision.samples == 256
-    assert [re.search(r"--condition (\w+)", command)[1] for command in audit.commands] == ["C0", "C1", "C2"]
+    assert [each.partition("--condition ")[2][:2] for each in audit.commands] == ["", "C1", "C2"]
     words = shlex.split(audit.commands[1])
     assert words[:5] == ["python", "-m", "paper_artifact", "train", "sphere"]
     changes = parse_changes([words[i + 1] for i, word in enumerate(words) if word == "--loss"], "--loss")
     config = study_config("sphere", "C1", steps=10, loss=changes)
     _, bundle = make_run_term(config, audit.mesh)
     assert bundle.to_json() == audit.bundle.to_json() and config.budget == 1200
+    own = replace(audit, name="my mesh.obj", usual=True)  # `train` applies the rule itself
+    assert own.commands[1] == "python -m paper_artifact train 'my mesh.obj' --condition C1"
+    loops = replace(own, decision=replace(own.decision, dimension=1))
+    assert loops.commands[0] == "python -m paper_artifact train 'my mesh.obj' --set budget=700"
 
 
 def test_margins_are_those_of_the_bundles_own_samples():
@@ -125,13 +133,12 @@ def test_the_page_holds_everything_itself():
         and audit.certificate.kind == "disk"
         and audit.decision.basis == "observation"
     )
+    assert page.startswith("<!DOCTYPE html>") and "<b>name</b>" not in page
+    assert "<title>Audit of bowl_wide</title>" in page, "the name, not the path it was given by"
+    assert "PASS as a surface with boundary (1 boundary loop; not closed)" in page
+    assert page.count("<button>copy</button>") == len(audit.commands) == 3
     assert (
-        page.startswith("<!DOCTYPE html>")
-        and "<b>name</b>" not in page
-        and "a &lt;b&gt;name&lt;/b&gt;" in page
-    )
-    assert (
-        page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 1
+        page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 3
         and "<iframe" in page
         and "Betti numbers, Z/2" in page
     )
@@ -158,7 +165,8 @@ def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, c
     ]
     assert cli.main(arguments) == 0
     printed = capsys.readouterr().out
-    assert "Nothing is measurable" in printed and "paper_artifact train" not in printed
+    assert "Nothing is measurable" in printed and "C0, the images alone, trains" in printed
+    assert f"paper_artifact train {tmp_path}/sheet.ply\n" in printed and "--condition" not in printed
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["audit.html", "audit.json"]
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
     assert (
@@ -184,7 +192,8 @@ def test_the_verb_writes_report_numbers_and_bundle(tmp_path, capsys):
     ]
     assert cli.main(arguments) == 0
     printed = capsys.readouterr().out
-    assert "genus 1" in printed and "Observable: loops (H1)" in printed and "--condition C2" in printed
+    assert "genus 1" in printed and "--condition C2" in printed
+    assert re.search(r"Measurable at M = 600: \d of 2 loops, \d of 1 void; the loss acts on loops", printed)
     assert load_bundle(tmp_path / "out" / "bundle.json").samples == 600
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
     assert [each["samples"] for each in stored["staircase"]] == [300, 600] and len(stored["commands"]) == 3
@@ -205,7 +214,38 @@ def test_a_failing_certificate_is_audited_by_what_is_seen():
         and audit.decision.basis == "observation"
         and "certificate fails" in " ".join(audit.decision.reasons)
     )
-    assert isinstance(headline(audit), str) and "fails" in audit_page(audit)
+    assert isinstance(headline(audit), str) and "The certificate fails, so the first two" in audit_page(audit)
+    assert audit.commands[:2] == (
+        "python -m paper_artifact ingest pinched --out pinched_shell.ply",
+        "python -m paper_artifact audit pinched_shell.ply",
+    )
+
+
+def test_marks_lie_on_what_they_mark():
+    """A torus (radii 1, .4): its loops close around tube or hole, its void's largest ball fills the tube."""
+    torus = find_mesh("torus")
+    points, _, _ = sample_surface(torus.vertices, torus.faces, 1500, stream(0, "marks"))
+    spacing = measurement_floor(points, 1.0) / 6
+    marks = find_marks(points, 6 * spacing, (0, 2, 1))
+    assert [mark.dimension for mark in marks] == [1, 1, 2] and marks[0].measurable
+    turns = set()
+    for mark in marks[:2]:
+        line = mark.line
+        assert (line[0] == line[-1]).all() and len(line) > 8
+        assert np.linalg.norm(np.diff(line, axis=0), axis=1).max() < 10 * spacing
+        around = np.unwrap(np.arctan2(line[:, 1], line[:, 0]))
+        tube = np.unwrap(np.arctan2(line[:, 2], np.hypot(line[:, 0], line[:, 1]) - 1.0))
+        turns.add(tuple(int(round(abs(angle[-1] - angle[0]) / (2 * np.pi))) for angle in (around, tube)))
+    assert turns == {(1, 0), (0, 1)} or turns == {(1, 0), (1, 1)}, turns
+    void = marks[2]
+    assert len(void.line) == 0 and np.hypot(*void.centre[:2]) == pytest.approx(1.0, abs=0.1)
+    tree_distance = np.linalg.norm(points - void.centre, axis=1).min()
+    assert tree_distance == pytest.approx(void.radius, rel=1e-6)
+    parts = view_parts(torus, marks)
+    assert list(parts) == ["on the mesh", "seen through"]
+    assert len(torus.faces) < len(parts["on the mesh"]) < len(parts["seen through"])
+    pair = find_marks(np.concatenate([points, points + (9.0, 0, 0)]), 6 * spacing, (1, 4, 2))
+    assert pair[0].dimension == 0 and np.ptp(pair[0].line[:, 0]) > 5
 
 
 def test_large_meshes_are_made_light_for_the_page():

@@ -109,7 +109,12 @@ def test_boundaries_are_certified_as_such_on_request():
         and certificate.boundary_loops == 1
         and not certificate.closed
     )
+    stages = []
+    judged = certify(vertices, faces, "bowl", with_boundary=None, progress=stages.append)
+    assert judged == certificate and stages[0] == "weld" and "exact homology" in stages
     strip = certify(*shapes.band(9, twist=True), with_boundary=True)
+    unsure = certify(*shapes.band(9, twist=True), "mesh", with_boundary=None)
+    assert not unsure.passed and not unsure.with_boundary
     assert (
         not strip.passed
         and strip.boundary_loops == 1
@@ -178,8 +183,10 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
         and stored["components"][0]["pinched_vertices"] == 1
     )
     assert cli.main(["certify", str(path), "--strict"]) == 1
-    assert cli.main(["certify", "bowl_narrow", "--with-boundary", "--strict"]) == 0
-    assert "PASS as a surface with boundary" in capsys.readouterr().out
+    assert cli.main(["certify", "bowl_narrow", "--strict", "--quiet"]) == 0
+    assert "PASS as a surface with boundary (1 boundary loop; not closed)" in capsys.readouterr().out
+    assert cli.main(["certify", "bowl_narrow", "--strict", "--closed", "--quiet"]) == 1
+    assert "FAIL" in capsys.readouterr().out
     assert cli.main(["certify"]) == 1
     assert "name one mesh" in capsys.readouterr().err
 

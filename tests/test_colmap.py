@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import numpy as np
@@ -35,7 +36,7 @@ simple = st.builds(
 names = st.text(
     st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20
 ).filter(lambda name: name == name.strip())
-quaternions = st.tuples(finite, finite, finite, finite).filter(any)
+quaternions = st.tuples(finite, finite, finite, finite).filter(lambda q: math.hypot(*q) > 1e-3)
 
 
 @st.composite

@@ -155,7 +155,7 @@ def test_badges(committed):
     table = gallery.gallery_table(chosen, ("bob",), ARMS)
     for badge, (_, row) in zip(badges[1:], table.iterrows(), strict=True):
         right = row["record"] == str(row["expected"])
-        assert badge.get_text() == f"$\\beta_1$ = {row['record']}" and row["soup"] == row["record"]
+        assert badge.get_text() == f"# significant: {row['record']}" and row["soup"] == row["record"]
         assert to_hex(badge.get_bbox_patch().get_facecolor()) == ("#ffffff" if right else gallery.WRONG)
         assert to_hex(badge.get_bbox_patch().get_edgecolor()) == (colour_of("C1") if right else gallery.WRONG)
     assert (table["record"] != "2").any(), "bob's control loses a loop"

@@ -111,8 +111,9 @@ def test_fields_are_those_of_the_runs():
     assert table.loc[("torus", "B2"), "least"] == pytest.approx(importance.min(), abs=0.006)
     assert table["least"].is_monotonic_increasing and table.loc[("torus", "B4"), "area above .5, %"] == 100
     figure = allocation.field_figure(("torus",), ("B2", "B4"), size=40)
-    assert [axis.get_title() for axis in figure.axes] == ["torus", ""]
-    shades = [np.ptp(axis.images[0].get_array()[20, :, 0]) for axis in figure.axes]
+    *pictures, scale = figure.axes
+    assert [axis.get_title() for axis in pictures] == ["torus", ""] and "importance" in scale.get_ylabel()
+    shades = [np.ptp(axis.images[0].get_array()[20, :, 0]) for axis in pictures]
     assert min(shades) > 0.2
 
 

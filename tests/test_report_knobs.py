@@ -99,7 +99,7 @@ def test_the_figures_have_both_rho_arms(knob_runs):
     assert [line.get_label() for line in lines] == ["C0", "C1", "C1, rho=0.03", "C1, rho=0.3"]
     assert [line.get_linestyle() for line in lines] == ["-", "-", "--", ":"]
     axis = matrix.seed_figure(shown, ("sphere",)).axes[0]
-    assert [text.get_text() for text in axis.get_xticklabels()][2] == "C1\nrho\n0.03"
+    assert [text.get_text() for text in axis.get_yticklabels()][2] == "C1, rho=0.03"
     assert to_hex(axis.patches[2].get_facecolor()) == colour_of("C1")
 
 

@@ -163,7 +163,7 @@ def test_speed_tables(tiny_scene, monkeypatch):
     assert runs["ours, one core"].tolist() == ["11.0 s", "16.0 s", "5.0 s"], "medians of runs in turn"
     assert runs["paper, GPU"].tolist() == ["33–41 s", "", "46 s"]
     assert speed.law_table(stored).loc["off by, at most", "value"].endswith(" %")
-    assert len(speed.speed_figure(stored).axes[0].lines) == 4, "points and a line for each N"
+    assert len(speed.speed_figure(stored).axes[0].lines) == 5, "points and a line per N, the study's size"
     assert "medians of 1 turns" in speed.machine(stored)
 
 

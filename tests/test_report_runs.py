@@ -73,7 +73,7 @@ def test_baseline_tables(folder):
     trajectory = baseline.trajectory_table(found)
     assert trajectory[("sphere", "bottleneck")].iloc[-1] == 0.065 and trajectory.index[-1] == 2500
     figure = baseline.trajectory_figure(found)
-    assert [len(axis.lines) for axis in figure.axes] == [2, 2, 2]
+    assert [len(axis.lines) for axis in figure.axes] == [2, 2, 2, 4], "last: triangles and the two budgets"
 
 
 def test_without_any_record(tmp_path):

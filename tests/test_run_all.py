@@ -15,6 +15,7 @@ from nbformat import v4
 
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
+from paper_artifact.files import FIGURES_VARIABLE
 from paper_artifact.notebooks import Execution, cleaned, execute, execution_table, notebook_files, own_kernel
 
 PARAMETERS = 'profile = "recorded"'
@@ -92,6 +93,31 @@ def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
         outcome = execute(path, "recorded", executed=tmp_path / "out", refresh=True, quiet=True)
     assert path.read_bytes() == before
     assert outcome.error.startswith("cell 3: ZeroDivisionError")
+
+
+def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
+    path = write_notebook(
+        tmp_path / "01_drawn.ipynb",
+        "from paper_artifact.export.figures import new_figure",
+        "from paper_artifact.report.kit.figures import show",
+        "figure, axes = new_figure(1, 1, 2, 2)",
+        "axes[0][0].plot([1, 2], [3, 4])",
+        "show('line', figure)",
+    )
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    (folder / "01_drawn_old.svg").write_text("of an earlier run")
+    (folder / "02_other.svg").write_text("another notebook's")
+    with own_kernel():
+        outcome = execute(path, "recorded", executed=tmp_path, figures=folder, refresh=True, quiet=True)
+        written = (folder / "01_drawn_line.svg").read_bytes()
+        execute(path, "recorded", executed=tmp_path, figures=folder, quiet=True)
+    assert not outcome.error and b"<svg" in written
+    assert sorted(each.name for each in folder.iterdir()) == ["01_drawn_line.svg", "02_other.svg"]
+    assert (folder / "01_drawn_line.svg").read_bytes() == written, "the same bytes in every run"
+    shown = nbformat.read(path, as_version=4).cells[-1].outputs
+    assert [set(each.data) for each in shown] == [{"image/png", "text/plain"}]
+    assert FIGURES_VARIABLE not in os.environ
 
 
 def test_a_file_that_is_no_notebook_is_named(tmp_path):

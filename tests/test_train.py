@@ -24,6 +24,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import REPOSITORY
 from paper_artifact.pipeline import run
+from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
 from paper_artifact.record.store import find_records
@@ -32,7 +33,7 @@ from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
-from paper_artifact.train.checkpoint import resumed_state
+from paper_artifact.train.checkpoint import SEAL, resumed_state
 from paper_artifact.train.loop import batch_views, train
 from paper_artifact.train.state import TrainingError, TrainState
 from paper_artifact.train.term import NoTerm
@@ -266,27 +267,26 @@ print(*sorted(name for name in sys.modules if name.startswith(("paper_artifact.t
 
 # Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
 KILLED = """
-import os, signal, sys
-import torch
+import os, pathlib, signal, sys
 from paper_artifact import cli
 from paper_artifact.train import loop
 where, arguments = sys.argv[1], sys.argv[2:]
 def kill():
     os.kill(os.getpid(), signal.SIGKILL)
-batch_views, save = loop.batch_views, torch.save
+batch_views, write, checkpoints = loop.batch_views, pathlib.Path.write_bytes, []
 def at_step(train, batch, seed, step):
     if step == 37 and where == "step":
         kill()
     return batch_views(train, batch, seed, step)
-def half(state, path):
-    if state["step"] == 40:
-        save(state, path)
-        os.truncate(path, os.path.getsize(path) // 2)
+def half(path, data):
+    checkpoints.extend([path] * (path.parent.name == "checkpoints"))
+    if len(checkpoints) == 4:
+        write(path, data[:len(data) // 2])
         kill()
-    save(state, path)
+    write(path, data)
 loop.batch_views = at_step
 if where == "write":
-    torch.save = half
+    pathlib.Path.write_bytes = half
 cli.main(arguments)
 """
 
@@ -372,14 +372,16 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
 
     with pytest.raises(InputError, match="belongs to another configuration"):
         train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")
-    state = torch.load(path, weights_only=True)
-    torch.save({name: value for name, value in state.items() if name != "losses"}, path)
-    with pytest.raises(InputError, match="run.pt is damaged"):
-        train(tiny_scene, config, checkpoint=path, device="cpu")
-    for bad in (data[: len(data) // 2], b"", b"no checkpoint at all"):
+    _, _, content = data.partition(b"\n")  # as a version without a digest wrote it
+    for bad in (data[: len(data) // 2], b"", b"no checkpoint at all", content):
         path.write_bytes(bad)
-        with pytest.raises(InputError, match="run.pt is damaged"):
+        with pytest.raises(InputError, match="run.pt is damaged .*digest"):
             train(tiny_scene, config, checkpoint=path, device="cpu")
+    draws = stream(0, "flipped bits")
+    for place in [0, len(SEAL), *draws.integers(0, len(data), 60).tolist()]:
+        path.write_bytes(data[:place] + bytes([data[place] ^ 1 << draws.integers(8)]) + data[place + 1 :])
+        with pytest.raises(InputError, match="run.pt is damaged .*delete it to start the run anew"):
+            resumed_state(path, config, NoTerm(), backend)
 
 
 # --- what goes wrong

@@ -6,13 +6,17 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
+from paper_artifact.audit.marks import Mark, find_marks
 from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
+from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate, certify_mesh
-from paper_artifact.config import LossConfig
+from paper_artifact.config import LossConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars
 from paper_artifact.evaluate.staircase import measure
 from paper_artifact.mesh import Mesh, checked_mesh
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 
 BUDGET_BY_CLASS = (700, 700, 1200)  # triangles N of the component, loop and void class (paper §4)
@@ -31,22 +35,36 @@ class Audit:
     decision: Decision  # from the first seed's rungs
     bundle: Bundle | None  # of the first seed; None when nothing is measurable
     diagram: Diagram  # of the first seed at the chosen density, else at the largest; radius / diagonal
+    marks: tuple[Mark, ...]  # where the longest bars of that diagram are on the mesh
+    usual: bool  # densities and seed are those that `train` takes by itself
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """The shell commands that train C0, C1 and C2 with this bundle; empty when nothing is measurable."""
+        """The shell commands that come next.
+
+        Training of C0, C1 and C2 with this bundle, of C0 alone when nothing is measurable. Before them, where
+        the certificate fails, the making of a closed surface and its audit.
+        """
+        python, name = "python -m paper_artifact", shlex.quote(self.name)
+        begin, usual = (), LossConfig()
+        if not self.certificate.passed:
+            shell = shlex.quote(f"{self.mesh.name}_shell.ply")
+            begin = (f"{python} ingest {name} --out {shell}", f"{python} audit {shell}")
         if self.decision.samples is None:
-            return ()
-        usual = LossConfig()
+            return (*begin, f"{python} train {name}")
+        budget = BUDGET_BY_CLASS[self.decision.dimension]
+        train = f"{python} train {name}"
+        if budget != RunConfig(self.name).budget:
+            train += f" --set budget={budget}"
+        if self.usual and shape_row(self.name) is None:  # `train` takes the rule's M and dimensions by itself
+            return (*begin, train, f"{train} --condition C1", f"{train} --condition C2")
         wanted = {
             "samples": (self.decision.samples, usual.samples),
             "dimensions": (",".join(map(str, self.decision.dimensions)), None),
             "bundle_seed": (self.bundle.seed, usual.bundle_seed),
         }
         loss = "".join(f" --loss {name}={value}" for name, (value, known) in wanted.items() if value != known)
-        budget = BUDGET_BY_CLASS[self.decision.dimension]
-        begin = f"python -m paper_artifact train {shlex.quote(self.name)} --set budget={budget} --condition"
-        return (f"{begin} C0", *(f"{begin} {condition}{loss}" for condition in ("C1", "C2")))
+        return (*begin, train, *(f"{train} --condition {condition}{loss}" for condition in ("C1", "C2")))
 
     def to_json(self) -> dict:
         """Return a JSON-able dict of all but the mesh and the diagram."""
@@ -83,10 +101,7 @@ def audit_mesh(
             f"an audit needs densities of at least {FEWEST} points, one seed or more and none negative, "
             f"got {smallest}, {seeds} and {first_seed}"
         )
-    certificate = certify_mesh(mesh)
-    if not certificate.passed and not certificate.closed:
-        as_boundary = certify_mesh(mesh, with_boundary=True)
-        certificate = as_boundary if as_boundary.passed else certificate
+    certificate = certify_mesh(mesh, with_boundary=None, progress=progress)
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name, mesh.betti)
     rungs, diagrams = [], {}
     for samples in sorted({*densities, *working}):
@@ -108,7 +123,11 @@ def audit_mesh(
             shape=mesh.name,
             dimensions=decision.dimensions,
         )
-    shown = diagrams[decision.samples if decision.samples is not None else max(diagrams)]
+    shown = decision.samples if decision.samples is not None else max(diagrams)
+    if progress:
+        progress("where loops and voids are")
+    points, _, _ = sample_surface(mesh.vertices, mesh.faces, shown, stream(first_seed, "bundle-samples"))
+    floor = next(rung.floor for rung in rungs if (rung.samples, rung.seed) == (shown, first_seed))
     return Audit(
         name=name or mesh.name,
         mesh=mesh,
@@ -116,7 +135,9 @@ def audit_mesh(
         rungs=tuple(rungs),
         decision=decision,
         bundle=bundle,
-        diagram=shown,
+        diagram=diagrams[shown],
+        marks=find_marks(points, floor * mesh.diagonal, decision.expected),
+        usual=tuple(working) == WORKING and first_seed == LossConfig().bundle_seed,
     )
 
 

@@ -27,6 +27,7 @@ DENSITIES = (512, 1024, 2048, 4096, 8192, 20_000)
 WORKING = (2048, 8192)
 NEAR = 0.15  # of the floor: margins vary by about this much between sampling seeds
 NAMES = ("components (H0)", "loops (H1)", "voids (H2)")
+NOUNS = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,15 @@ class Decision:
     basis: str  # of the expectation: "certificate" or "observation"
     reasons: tuple[str, ...]  # the rule's steps as sentences
     warnings: tuple[str, ...]  # what an evaluation at a denser sample would stumble over
+
+
+def counted(dimension: int, found: int, expected: int) -> str:
+    """Return how many of the expected classes were found in words, "1 of 2 loops".
+
+    Both are numbers of finite bars, so the first component, which no bar tells of, is added to either.
+    """
+    first = int(dimension == 0)
+    return f"{found + first} of {expected + first} {NOUNS[dimension][expected + first != 1]}"
 
 
 def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[int] = WORKING) -> Decision:

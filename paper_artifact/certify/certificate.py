@@ -6,6 +6,7 @@ triangles: self-intersections do not change it, and are not looked for.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -100,32 +101,49 @@ class Certificate:
         return asdict(self) | {"genus": self.genus}
 
 
-def certify_mesh(mesh: Mesh, *, with_boundary: bool = False) -> Certificate:
+def certify_mesh(
+    mesh: Mesh, *, with_boundary: bool | None = False, progress: Callable[[str], None] | None = None
+) -> Certificate:
     """Return the Certificate of a Mesh (load it with `welded=False` to have its own indexing reported).
 
-    with_boundary: certify a surface with boundary as such, instead of failing its open edges. Raises
+    with_boundary: certify a surface with boundary as such, instead of failing its open edges; None: only
+    where open edges are all that is wrong. progress: called with the name of each stage as it begins. Raises
     InputError when nothing is left after the weld.
     """
-    return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary)
+    return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary, progress=progress)
 
 
 def certify(
-    vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, with_boundary: bool = False
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    name: str = "mesh",
+    *,
+    with_boundary: bool | None = False,
+    progress: Callable[[str], None] | None = None,
 ) -> Certificate:
     """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64, as `certify_mesh`
     does.
     """
+    tell = progress or (lambda stage: None)
+    tell("weld")
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
         raise InputError(f"{name} has no triangle with three different corners; give a mesh with a surface")
+    tell("edges")
     simplices = make_complex(indexed, len(welded))
+    tell("manifold checks")
     checks = check_surface(welded, indexed, simplices.component_of_vertex)
+    tell("exact homology")
     betti, counts = betti_numbers(simplices), simplices.counts()
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
     total = tuple(int(b) for b in betti.sum(axis=0))
+    tell("voids by duality")
     dual = dual_voids(simplices)
     numbers = {name: int(getattr(checks, name).sum()) for name in FAULTS}
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
+    if with_boundary is None:
+        others = _reasons(numbers, checks, components, total, dual, with_boundary=True)
+        with_boundary = numbers["open_edges"] > 0 and not others
     reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
     return Certificate(
         name=name,

@@ -7,13 +7,18 @@ from paper_artifact.certify.certificate import Certificate
 LONGEST = 12  # components that are listed
 
 
+def verdict_text(certificate: Certificate) -> str:
+    """Return the verdict in a few words: PASS, PASS as a surface with boundary (how open), or FAIL."""
+    if not certificate.passed or certificate.closed:
+        return certificate.verdict.upper()
+    loops = certificate.boundary_loops
+    return f"PASS as a surface with boundary ({loops} boundary loop{'s' * (loops != 1)}; not closed)"
+
+
 def certificate_text(certificate: Certificate) -> str:
     """Return the certificate as lines of text, the verdict first."""
     c = certificate
-    lines = [
-        f"{c.name}: {c.verdict.upper()}"
-        + (" as a surface with boundary" if c.passed and not c.closed else "")
-    ]
+    lines = [f"{c.name}: {verdict_text(c)}"]
     lines += [f"  reason: {reason}" for reason in c.reasons] + [f"  note: {note}" for note in c.notes]
     rows = [
         ("kind", c.kind),

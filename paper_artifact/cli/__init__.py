@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
+from paper_artifact.files import DISK_BROKEN, DISK_FULL, write_failure
 
 Runner = Callable[[argparse.Namespace], int | None]
 
@@ -39,6 +40,7 @@ VERBS: dict[str, Verb] = {
     "fetch": Verb(
         "fetch", "download the external meshes at their pinned commits, or read them from a mirror"
     ),
+    "photos": Verb("photos", "register photographs (structure from motion) and make a COLMAP scene of them"),
     "scene": Verb(
         "scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"
     ),
@@ -72,7 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         parser, runners = _parser(asked)
         arguments = parser.parse_args(argv)
-        return int(runners[arguments.verb](arguments) or 0)
+        code = int(runners[arguments.verb](arguments) or 0)
+        sys.stdout.flush()
+        return code
     except InputError as error:
         print(f"paper_artifact: {error}", file=sys.stderr)
     except ModuleNotFoundError as error:
@@ -84,15 +88,27 @@ def main(argv: Sequence[str] | None = None) -> int:
             "else `pip install 'paper_artifact[study]'`",
             file=sys.stderr,
         )
+    except BrokenPipeError:  # the reader (head, less) has gone
+        _silence_stdout()
+    except OSError as error:
+        if error.errno not in DISK_FULL | DISK_BROKEN:
+            raise
+        print(f"paper_artifact: {write_failure(error.filename or 'the output', error)}", file=sys.stderr)
+        _silence_stdout()
     except KeyboardInterrupt:
         print(
             "paper_artifact: interrupted; finished files are complete and the same command can be run again",
             file=sys.stderr,
         )
-    except BrokenPipeError:
-        # The reader (head, less) has gone; stdout points at nothing, so that the last flush is silent.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
+
+
+def _silence_stdout() -> None:
+    """Point stdout at nothing where it takes nothing any more, so that the last flush is silent."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parser(asked: str | None) -> tuple[argparse.ArgumentParser, dict[str, Runner]]:

@@ -56,7 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     matplotlib.use("Agg")
     from paper_artifact.audit.measure import audit_mesh
-    from paper_artifact.audit.page import audit_page, headline
+    from paper_artifact.audit.page import audit_page, headline, rung_text
+    from paper_artifact.certify.text import verdict_text
     from paper_artifact.scene.find import find_mesh
 
     mesh = find_mesh(arguments.mesh, welded=False)
@@ -80,18 +81,13 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(folder / "audit.html", page)
     certificate = audit.certificate
     print(
-        f"{audit.name}: certificate {certificate.verdict}"
+        f"{audit.name}: certificate {verdict_text(certificate)}"
         + (f" ({'; '.join(certificate.reasons)})" if certificate.reasons else "")
         + f", {certificate.kind}, β = {certificate.betti}"
     )
-    for rung in audit.rungs:
-        tops = "  ".join(
-            f"H{d} {margins[0]:.2f}" if margins else f"H{d}    –" for d, margins in enumerate(rung.margins)
-        )
-        print(
-            f"  M = {rung.samples:<6} seed {rung.seed}  floor {rung.floor:.4f}  {rung.signature:<9} "
-            f"longest / floor: {tops}"
-        )
+    for number in range(len(audit.rungs)):
+        print(f"  {rung_text(audit, number)}")
+    print("  (in brackets: the longest bar over the floor; above 1 it is measurable)")
     for reason in audit.decision.reasons:
         print(f"  {reason}")
     for warning in audit.decision.warnings:

@@ -17,9 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the whole certificate as JSON")
     parser.add_argument(
-        "--with-boundary",
+        "--closed",
         action="store_true",
-        help="certify a surface with boundary as such (disk, annulus …) instead of failing its open edges",
+        help="fail a surface with boundary (disk, annulus …) for its open edges, not pass it as one",
     )
     parser.add_argument("--strict", action="store_true", help="exit code 1 unless the mesh passes")
     parser.add_argument(
@@ -31,6 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the certificate. Returns 0, with --strict 1 when it fails."""
+    from tqdm import tqdm
+
     from paper_artifact.certify.certificate import certify_mesh
     from paper_artifact.certify.text import certificate_text
     from paper_artifact.files import write_json
@@ -48,7 +50,13 @@ def run(arguments: argparse.Namespace) -> int:
                 {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows},
             )
         return 1 if arguments.strict and any(row.agrees is False for row in rows) else 0
-    certificate = certify_mesh(find_mesh(arguments.mesh, welded=False), with_boundary=arguments.with_boundary)
+    with tqdm(disable=arguments.quiet, bar_format="{desc} ({elapsed})", leave=False) as bar:
+        bar.set_description_str(f"{arguments.mesh}: reading")
+        certificate = certify_mesh(
+            find_mesh(arguments.mesh, welded=False),
+            with_boundary=False if arguments.closed else None,
+            progress=lambda stage: bar.set_description_str(f"{arguments.mesh}: {stage}"),
+        )
     if arguments.json:
         write_json(arguments.json, certificate.to_json())
     print(certificate_text(certificate))

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, PROFILES
+from paper_artifact.notebooks import EXECUTED, FIGURES, NOTEBOOKS, PROFILES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="where executed copies go (default: results/executed)",
     )
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        default=FIGURES,
+        metavar="DIR",
+        help="where the notebooks' figures go as SVG (default: results/book/figures)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -58,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
                         path,
                         arguments.profile,
                         executed=arguments.out,
+                        figures=arguments.figures,
                         refresh=arguments.refresh,
                         quiet=arguments.quiet,
                     )
@@ -65,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     finally:  # an interrupted run shows what it did finish
         print(execution_table(executions))
     failed = [each.name for each in executions if each.error]
-    print(f"executed copies: {arguments.out}")
+    print(f"executed copies: {arguments.out}; figures: {arguments.figures}")
     if failed:
         print(
             f"paper_artifact: {len(failed)} of {len(executions)} notebooks failed: {', '.join(failed)}",

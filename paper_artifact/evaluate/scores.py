@@ -18,7 +18,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.files import RESULTS, atomic_path, load_npz
+from paper_artifact.files import RESULTS, load_npz, write_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -74,10 +74,7 @@ def make_target(
     if diagram is None:
         diagram = diagram_of(samples, mesh.diagonal)
         if path is not None:
-            with atomic_path(path) as temporary, open(temporary, "wb") as handle:
-                np.savez_compressed(
-                    handle, **{f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)}
-                )
+            write_npz(path, {f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)})
     floor = measurement_floor(samples, mesh.diagonal)
     if dimension is None:
         row = shape_row(mesh.name)

@@ -39,12 +39,7 @@ def write_certified(path: Path | str, shell: Mesh, data: bytes) -> Certificate:
     """Write `data`, a mesh file that holds `shell` (float32 values); return the certificate of what was
     written, reading and raising as `write_shell` does."""
     with atomic_path(path) as temporary:
-        try:
-            temporary.write_bytes(data)
-        except OSError as error:
-            raise InputError(
-                f"cannot write {path}: {error.strerror}; free some space, or choose another folder"
-            ) from error
+        temporary.write_bytes(data)
         again = load_mesh(temporary, welded=False)
         certificate = certify_mesh(Mesh(again.vertices, again.faces, Path(path).stem))
         if not np.array_equal(np.unique(again.vertices, axis=0), np.unique(shell.vertices, axis=0)):

@@ -9,8 +9,12 @@ kinds, each kind stored together.
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Iterator
 from typing import Any
+
+MOST = 5_000_000  # items that are unpacked; the largest log of a run has some ten thousand
 
 
 def pack(value: Any) -> Any:
@@ -21,8 +25,19 @@ def pack(value: Any) -> Any:
 
 
 def unpack(value: Any) -> Any:
-    """Return the JSON value that `pack` made compact. Raises ValueError, KeyError or TypeError for a damaged
-    form."""
+    """Return the JSON value that `pack` made compact. Raises ValueError, KeyError, TypeError or
+    AttributeError for a damaged form."""
+    return _unpacked(value, itertools.count())
+
+
+def _unpacked(value: Any, items: Iterator[int]) -> Any:
+    """Return what `unpack` does; `items` counts what was unpacked so far."""
+    if next(items) > MOST:
+        raise ValueError("it unpacks without end")
+
+    def unpack(value: Any) -> Any:
+        return _unpacked(value, items)
+
     if isinstance(value, list):
         return [unpack(item) for item in value]
     if not isinstance(value, dict):

@@ -13,9 +13,11 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from paper_artifact.catalogue import BASELINE, PRIOR, study_config, tag_of
+from paper_artifact.catalogue import BASELINE, PRIOR, shape_row, study_config, tag_of
 from paper_artifact.mesh import Mesh
 from paper_artifact.pipeline import make_run_importance
 from paper_artifact.report.kit import frames
@@ -50,7 +52,7 @@ def field_figure(
     shapes: Iterable[str], conditions: Iterable[str] = FIELD_ARMS, seed: int = 0, size: int = 220
 ) -> Figure:
     """Return pictures of the surfaces, a row per arm, a column per shape, coloured by the importance at the
-    faces' centroids: dark 0, bright 1."""
+    faces' centroids."""
     shapes, rows = list(shapes), []
     for condition in conditions:
         images = []
@@ -58,11 +60,15 @@ def field_figure(
             mesh, field = run_field(shape, condition, seed)
             importance = field(mesh.vertices[mesh.faces].mean(axis=1))
             colours = colormaps["viridis"](importance)[:, :3]
-            images.append(render_flat(mesh.vertices, mesh.faces, size, material=colours))
+            up = row.up if (row := shape_row(shape)) else (0.0, 0.0, 1.0)
+            images.append(render_flat(mesh.vertices, mesh.faces, size, up=up, material=colours))
         rows.append((condition, images))
     figure = image_rows(rows, 1.7)
-    for axis, shape in zip(figure.axes, shapes, strict=False):
-        axis.set_title(shape, fontsize=8)
+    pictures = list(figure.axes)
+    for axis, shape in zip(pictures, shapes, strict=False):
+        axis.set_title(shape)
+    scale = ScalarMappable(Normalize(0, 1), "viridis")
+    figure.colorbar(scale, ax=pictures, label="importance (no unit), before shading", shrink=0.6)
     return figure
 
 

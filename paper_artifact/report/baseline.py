@@ -4,29 +4,46 @@ paper's."""
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
 
-from paper_artifact.catalogue import study_config
+from paper_artifact.catalogue import BASELINE, shape_row, study_config
+from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.mesh import Mesh
 from paper_artifact.pipeline import prepare_scene, run
+from paper_artifact.raster.view import ViewRaster, make_camera
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_band, image_rows, label_axis
-from paper_artifact.report.kit.records import RETRAINED, Collected, key, soup_path
+from paper_artifact.report.kit.figures import (
+    MARKS,
+    SERIES,
+    draw_band,
+    image_rows,
+    label_axis,
+    legend_below,
+    mark_value,
+    plain_log,
+)
+from paper_artifact.report.kit.records import RETRAINED, Collected, collect, command, key, soup_path
+from paper_artifact.report.kit.render import upright
 from paper_artifact.report.kit.text import blank
+from paper_artifact.scene.cameras import CAMERA_DISTANCE, FAR, NEAR, Camera, look_at, world_to_clip
 from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
 from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup, load_soup
 
 # What a short run of 300 steps reaches with a wide margin. Only "above or below" is compared between
 # machines: compiled kernels may differ in the last bit between kinds of CPU, and training amplifies that.
 FALL, PSNR, SSIM, CHAMFER = 0.5, 20.0, 0.75, 1.5  # loss, last / first tenth; dB; no unit; percent of D
+NEARER = 0.78  # of the scenes' camera distance: the shape fills the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +121,65 @@ def measured_table(runs: Iterable[Reconstruction]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("shape")
 
 
-def views_figure(runs: Iterable[Reconstruction], views: int = 6) -> Figure:
-    """Return held-out views, ground truth above the trained soup, for every run."""
+def kept_views(shapes: Sequence[str], seed: int = 0, views: int = 6, size: int = 200) -> dict[str, tuple]:
+    """Return per shape (truth, renders), each (views,size,size,3) in [0,1]: ground truth and the committed
+    soup of its full-length C0 run, from cameras that stand upright about the shape (the catalogue's `up`; the
+    run's own have z upwards): views that training never saw.
+
+    Raises InputError where the run is not recorded or its soup is not kept.
+    """
+    pictures = {}
+    for shape in shapes:
+        found, mesh = collect([(shape, BASELINE, seed)]), find_mesh(shape)
+        path = soup_path(found.records[0], found.results) if found.records else None
+        if path is None or not path.is_file():
+            raise InputError(
+                f"no soup of {shape} {BASELINE}, seed {seed}, is kept; {command(shape, BASELINE, seed)}"
+            )
+        turn, background = upright(np.asarray(shape_row(shape).up)), background_colour("white")
+        soup, raster = load_soup(path).drawn(), ViewRaster(size, size)
+        truth, renders = [], []
+        for camera in ring_cameras(mesh, turn, views, size):
+            matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
+            truth.append(render_ground_truth(mesh, camera, background))
+            renders.append(raster.render(soup, make_camera(matrix), background).copy().transpose(1, 2, 0))
+        pictures[shape] = np.stack(truth), np.stack(renders)
+    return pictures
+
+
+def ring_cameras(mesh: Mesh, turn: np.ndarray, count: int, size: int) -> list[Camera]:
+    """Return cameras around a mesh, nearer than the scenes' own and a little above its middle; `turn` (3,3)
+    takes the mesh's upward direction to z."""
+    middle, cameras = turn @ mesh.centre, []
+    for angle in 2 * np.pi * (np.arange(count) + 0.5) / count:
+        direction = np.array([np.cos(angle), np.sin(angle), 0.45])
+        place = middle + NEARER * CAMERA_DISTANCE * mesh.radius * direction / np.linalg.norm(direction)
+        camera = look_at(place, middle, size)
+        pose = Rotation.from_matrix(camera.rotation @ turn).as_quat(scalar_first=True)
+        cameras.append(replace(camera, quaternion=tuple(float(each) for each in pose)))
+    return cameras
+
+
+def views_figure(pictures: Mapping[str, tuple]) -> Figure:
+    """Return the views of `kept_views`, ground truth above the trained soup, for every shape."""
     rows = []
-    for each in runs:
-        rows += [(f"{each.shape}: truth", each.truth[:views]), (f"{each.shape}: soup", each.renders[:views])]
+    for shape, (truth, renders) in pictures.items():
+        rows += [(f"{shape}: truth", truth), (f"{shape}: soup", renders)]
     return image_rows(rows)
+
+
+def view_table(pictures: Mapping[str, tuple]) -> pd.DataFrame:
+    """Return per shape how many views there are, their pixels, and the soup's PSNR (dB) and SSIM in them."""
+    rows = {}
+    for shape, (truth, renders) in pictures.items():
+        scores = image_scores(renders, truth)
+        rows[shape] = {
+            "views": len(truth),
+            "pixels": truth.shape[1],
+            "PSNR dB": round(scores["psnr"], 1),
+            "SSIM": round(scores["ssim"], 2),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("shape")
 
 
 def seed_table(collected: Collected) -> pd.DataFrame:
@@ -135,25 +205,53 @@ def seed_table(collected: Collected) -> pd.DataFrame:
 
 
 def trajectory_figure(collected: Collected) -> Figure:
-    """Return loss, Chamfer and bottleneck over training: one line per shape (mean of seeds), band: range
-    of seeds."""
-    losses, dumps = _losses(collected), frames.dumps(collected)
-    figure, axes = new_figure(1, 3, 3.6, 2.7)
+    """Return loss, Chamfer, bottleneck (in the judged dimension) and triangles over training: one line per
+    shape (mean of seeds), band: range of seeds; dashed: the budgets."""
+    figure, axes = new_figure(2, 2, PAGE / 2, 2.1)
+    dumps = frames.dumps(collected)
     panels = (
-        (losses, "loss", "photometric loss (log)"),
-        (dumps, "chamfer %", "Chamfer, % of the diagonal (log)"),
-        (dumps, "bottleneck", "bottleneck, discriminating dimension"),
+        (_losses(collected), "loss", "photometric loss (no unit)"),
+        (dumps, "chamfer %", "Chamfer (% of D)"),
+        (dumps, "bottleneck", "bottleneck (radius / D)"),
+        (_triangles(collected), "triangles", "triangles"),
     )
-    for axis, (table, value, title) in zip(axes[0], panels, strict=True):
-        label_axis(axis, title, "step", grid=True)
+    budget = None
+    for axis, (table, value, words) in zip(axes.flat, panels, strict=True):
+        label_axis(axis, "", "step", words)
+        if value in ("loss", "triangles") and len(table):
+            plain_log(axis)
         for number, shape in enumerate(dict.fromkeys(table["shape"])):
-            draw_band(axis, table[table["shape"] == shape], value, shape, f"C{number}")
-    for axis in axes[0][:2]:
-        axis.set_yscale("log")
-    if collected.records:
-        axes[0][2].set_ylim(bottom=0)
-        axes[0][2].legend(fontsize=7)
+            style = {"marker": MARKS[number] if table is dumps else "", "markevery": (number % 2, 2)}
+            style["linewidth"] = max(2.6 - 0.7 * number, 1.0)  # lines on one another all show
+            draw_band(axis, table[table["shape"] == shape], value, shape, SERIES[number], **style)
+    for each in sorted({record["config"]["budget"] for record in collected.records}):
+        budget = mark_value(axes[1][1], each)
+    if budget is not None:
+        budget.set_label("budget N")
+        for axis in (axes[0][1], axes[1][0]):
+            axis.set_ylim(bottom=0)
+        for axis, ticks in (
+            (axes[0][0], (0.003, 0.01, 0.03, 0.1, 0.3)),
+            (axes[1][1], (500, 1000, 2000, 5000, 10_000)),
+        ):
+            low, high = axis.get_ylim()
+            axis.set_yticks([each for each in ticks if low <= each <= high])
+            axis.set_ylim(low, high)
+    legend_below(figure, 5)
     return figure
+
+
+def _triangles(collected: Collected) -> pd.DataFrame:
+    """One row per record and resampling: shape, seed, step and the triangles left; first the start's."""
+    rows = []
+    for record in collected.records:
+        shape, _, seed = key(record)
+        taken = record["soup"]["resamplings"]
+        counts = [(0, each["before"]) for each in taken[:1]] + [
+            (each["step"], each["after"]) for each in taken
+        ]
+        rows += [{"shape": shape, "seed": seed, "step": step, "triangles": count} for step, count in counts]
+    return pd.DataFrame(rows, columns=["shape", "seed", "step", "triangles"])
 
 
 def _losses(collected: Collected) -> pd.DataFrame:

@@ -66,11 +66,15 @@ def certificate_table() -> pd.DataFrame:
 
 def bowl_figure(size: int = 220) -> Figure:
     """Return both bowls seen from above their opening; red: the inner side."""
+    shapes = shapes_of("bowls")
     images = []
-    for shape in shapes_of("bowls"):
+    for shape in shapes:
         mesh = surface(shape)
         images.append(render_flat(mesh.vertices, mesh.faces, size, direction=(0.3, -1.0, 1.1), inside=CUT))
-    return image_rows([("", images)], size / 90)
+    figure = image_rows([("", images)])
+    for axis, shape in zip(figure.axes, shapes, strict=True):
+        axis.set_title(shape)
+    return figure
 
 
 def staircases(seeds: Iterable[int] = SEEDS) -> pd.DataFrame:

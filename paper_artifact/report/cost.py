@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from paper_artifact.bench.persistence import CLOUDS as DRAWN
 from paper_artifact.bench.persistence import growth_text, persistence_rows
 from paper_artifact.catalogue import BASELINE, LOSS
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import COLUMN, FAINT, INK, new_figure
 from paper_artifact.record.environment import host, packages
+from paper_artifact.report.kit.figures import SERIES, label_axis, legend_below, plain_log
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.sampling import sample_surface
@@ -132,22 +133,23 @@ def stage_table(stored: pd.DataFrame) -> pd.DataFrame:
 def cost_figure(stored: pd.DataFrame) -> Figure:
     """Return time against M on logarithmic axes, torus cloud: ours, gudhi, the paper's figures, and a line of
     slope 1."""
-    figure, axes = new_figure(1, 1, 4.6, 3.4)
+    figure, axes = new_figure(1, 1, COLUMN, 2.9)
     axis, own = axes[0][0], torus_rows(stored)
     paper = published("cost").set_index("quantity").loc["persistence_ms"]
-    slope = own["fast_ms"].iloc[0] * own["M"] / own["M"].iloc[0] * 0.8
+    slope = own["fast_ms"].iloc[0] * own["M"] / own["M"].iloc[0] * 0.7
     for x, y, label, style in (
-        (own["M"], own["gudhi_ms"], "gudhi safe, same process", {"color": "#c0392b", "marker": "o"}),
-        (paper["samples"], paper["value"], "paper (gudhi, its machine)", {"color": "#555555", "marker": "x"}),
-        (own["M"], own["fast_ms"], "ours", {"color": "#1f5fbf", "marker": "o"}),
-        (own["M"], slope, "slope 1", {"color": "black", "linestyle": ":", "linewidth": 0.9}),
+        (own["M"], own["gudhi_ms"], "gudhi, same process", {"color": SERIES[5], "marker": "s"}),
+        (paper["samples"], paper["value"], "paper (gudhi, its machine)", {"color": FAINT, "marker": "D"}),
+        (own["M"], own["fast_ms"], "ours", {"color": SERIES[0], "marker": "o"}),
+        (own["M"], slope, "slope 1", {"color": INK, "linestyle": ":"}),
     ):
-        axis.plot(x, y, label=label, markersize=4, **style)
-    axis.set(xscale="log", yscale="log", xlabel="samples M", ylabel="CPU ms per persistence step")
-    axis.set_xticks(list(own["M"]), list(map(str, own["M"])))
+        axis.plot(x, y, label=label, **style)
+    label_axis(axis, "", "samples M", "CPU ms per persistence step")
+    plain_log(axis)
+    plain_log(axis, "x")
+    axis.set_xticks(list(own["M"]), [f"{each:,}" for each in own["M"]])
     axis.minorticks_off()
-    axis.grid(alpha=0.25)
-    axis.legend(fontsize=7)
+    legend_below(figure, 2)
     return figure
 
 

@@ -17,10 +17,11 @@ from paper_artifact.catalogue import in_order, study_config
 from paper_artifact.config import RunConfig
 from paper_artifact.evaluate.diagram import diagram_of
 from paper_artifact.evaluate.scores import Target, soup_samples
-from paper_artifact.export.figures import draw_diagram, new_figure
+from paper_artifact.export.figures import PAGE, draw_diagram, new_figure
 from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import make_run_term, prepare_scene
 from paper_artifact.randomness import stream
+from paper_artifact.report.kit.figures import diagram_handles, legend_below
 from paper_artifact.report.kit.records import target_of
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.soup.initialise import initial_soup
@@ -78,9 +79,9 @@ def _bars(soup: Soup, step: int, config: RunConfig, target: Target) -> pd.DataFr
 
 def diagram_figure(stored: pd.DataFrame) -> Figure:
     """Return Fig. S1: the live diagrams under each condition (rows) at the stored steps (columns); large
-    dots: significant bars, star: the target's significant bar."""
+    dots: bars above the floor of their own samples (as counted), star: the target's significant bar."""
     conditions, steps = in_order(stored["condition"].unique()), sorted(stored["step"].unique())
-    figure, axes = new_figure(len(conditions), len(steps), 2.1, 2.1)
+    figure, axes = new_figure(len(conditions), len(steps), PAGE / len(steps), 1.5, sharex=True, sharey=True)
     target = target_of(SHAPE)
     stars = target.diagram[target.dimension]
     stars = stars[stars[:, 1] - stars[:, 0] > target.floor]
@@ -92,10 +93,12 @@ def diagram_figure(stored: pd.DataFrame) -> Figure:
             title = f"{condition}, " + (f"step {step}" if step else "start")
             bars = own[["birth", "death"]].to_numpy()
             draw_diagram(axis, bars, own["floor"].iloc[0], limit, stars, title)
+            axis.label_outer()
     for axis in axes[-1]:
-        axis.set_xlabel("birth (radius / D)", fontsize=7)
+        axis.set_xlabel("birth (r / D)")
     for axis in axes[:, 0]:
-        axis.set_ylabel("death (radius / D)", fontsize=7)
+        axis.set_ylabel("death (r / D)")
+    legend_below(figure, 4, diagram_handles())
     return figure
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from paper_artifact.catalogue import colour_of, shape_row
 from paper_artifact.evaluate.diagram import diagram_of, significant_counts
 from paper_artifact.evaluate.scores import SAMPLES, soup_samples
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.export.triangles import THRESHOLD, soup_triangles
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit import frames
@@ -31,7 +31,7 @@ from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.study.verdict import LOSS
 from paper_artifact.topology.floor import measurement_floor
 
-WRONG = "#e67e22"  # fill of the badge of a wrong count
+WRONG = "#a63c00"  # fill of the badge of a wrong count
 
 
 def soup_of(collected: Collected, shape: str, condition: str, seed: int = 0) -> tuple[dict, Soup] | None:
@@ -57,20 +57,20 @@ def gallery_figure(
     shapes: Sequence[str],
     conditions: Sequence[str] = (),
     seed: int = 0,
-    size: int = 200,
+    size: int = 240,
 ) -> Figure:
-    """Return one row per shape: ground truth and the soup of every condition (default: all); badge: the
-    expected count on the ground truth, the measured one (judged dimension, last step, 20,000 samples) on a
-    soup, filled orange where it is not that."""
+    """Return one row per shape: ground truth and the soup of every condition (default: all); badge: how
+    many bars are significant in the judged dimension, on the ground truth the expected number, on a soup the
+    measured one (last step, 20,000 samples), filled orange where it is not that."""
     conditions, runs = list(conditions) or frames.conditions(collected), frames.runs(collected)
-    figure, axes = new_figure(len(shapes), 1 + len(conditions), 1.9, 1.9)
+    figure, axes = new_figure(len(shapes), 1 + len(conditions), PAGE / 4, PAGE / 4)
     for shape, (first, *others) in zip(shapes, axes, strict=True):
         row, mesh, expected = shape_row(shape), surface(shape), runs[runs["shape"] == shape]["expected"].max()
         truth = render_flat(mesh.vertices, mesh.faces, size, direction=row.view, up=row.up)
         image_axis(first, truth, "ground truth")
-        first.set_ylabel(f"{shape} (H{row.judged})", fontsize=8)
+        first.set_ylabel(f"{shape}, H{row.judged}")
         if pd.notna(expected):
-            _badge(first, row.judged, int(expected), True)
+            _badge(first, int(expected), True)
         for condition, axis in zip(conditions, others, strict=True):
             found = soup_of(collected, shape, condition, seed)
             if found is None:
@@ -79,7 +79,7 @@ def gallery_figure(
             record, soup = found
             count = record["tails"]["counts"][row.judged]
             image_axis(axis, soup_picture(soup, shape, size), condition)
-            _badge(axis, row.judged, count, count == expected)
+            _badge(axis, count, count == expected)
     return figure
 
 
@@ -117,16 +117,16 @@ def _counts(record: dict, soup: Soup) -> tuple[int, int, int]:
     return significant_counts(diagram_of(samples, diagonal), measurement_floor(samples, diagonal))
 
 
-def _badge(axis: Axes, dimension: int, count: int, right: bool) -> None:
+def _badge(axis: Axes, count: int, right: bool) -> None:
     edge = colour_of(LOSS) if right else WRONG
     box = {"boxstyle": "round,pad=0.3", "linewidth": 1.4, "edgecolor": edge}
     axis.text(
-        0.97,
-        0.04,
-        f"$\\beta_{dimension}$ = {count}",
+        0.5,
+        -0.03,
+        f"# significant: {count}",
         transform=axis.transAxes,
-        fontsize=8,
-        ha="right",
+        ha="center",
+        va="top",
         color=edge if right else "white",
         bbox=box | {"facecolor": "white" if right else WRONG},
     )

@@ -12,8 +12,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from paper_artifact.export.figures import new_figure
-from paper_artifact.report.kit.figures import draw_cloud, label_axis
+from paper_artifact.catalogue import LOSS, colour_of
+from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.report.kit.figures import (
+    cloud_limits,
+    draw_cloud,
+    label_axis,
+    legend_below,
+    log_text,
+    mark_value,
+    plain_log,
+)
 from paper_artifact.report.kit.published import published
 from paper_artifact.study.repair import RepairProbe, Trajectory, make_probe, repair
 
@@ -100,19 +109,19 @@ def at_factor(run: Trajectory, factor: float) -> tuple[int | None, float | None]
 
 
 def gate_figure(runs: Runs) -> Figure:
-    """Return one row per probe: start, end, and the bottleneck to the target over the steps (log, cut at
-    1e-12; zero is marked on a line of its own, labelled 0); dashed: the start divided by the paper's
-    factor."""
-    figure, axes = new_figure(len(runs), 3, 3.0, 2.3)
+    """Return one row per probe: start and end on the same axes, and the bottleneck to the target over the
+    steps (log, cut at 1e-12; zero is marked on a line of its own, labelled 0); dashed: the start divided by
+    the paper's factor."""
+    figure, axes = new_figure(len(runs), 3, PAGE / 3, 1.6)
     for (name, (_, run)), line in zip(runs.items(), axes, strict=True):
-        low = np.minimum(run.start.min(axis=0), run.final.min(axis=0)) - 0.1
-        high = np.maximum(run.start.max(axis=0), run.final.max(axis=0)) + 0.1
         view = PROBES[name][1]
-        limits = tuple((low[each], high[each]) for each in view)
+        limits = cloud_limits(run.start, run.final, axes=view)
         draw_cloud(line[0], run.start, f"{name}: start", view, limits)
         draw_cloud(line[1], run.final, f"{name}: after {run.steps[-1]} steps", view, limits)
+        line[1].set_ylabel("")
         _draw_curve(line[2], run, published_factor(name)[0])
-        label_axis(line[2], f"{PROBES[name][0]}: bottleneck, radius / D", "step", grid=True)
+        label_axis(line[2], PROBES[name][0], "step", "bottleneck (radius / D)")
+    legend_below(figure)
     return figure
 
 
@@ -120,15 +129,16 @@ def _draw_curve(axis: Axes, run: Trajectory, factor: float) -> None:
     """Draw a bottleneck over the steps: values on a logarithmic axis, zeros on a line below it."""
     zero = run.bottleneck <= 0
     shown = np.where(zero, np.nan, np.maximum(run.bottleneck, ZERO))
-    axis.plot(run.steps, shown, color="#1f5fbf", linewidth=1.3)
-    axis.set_yscale("log")
+    axis.plot(run.steps, shown, color=colour_of(LOSS), label="bottleneck to the target")
+    plain_log(axis)
     if np.isfinite(factor):
-        axis.axhline(run.bottleneck[0] / factor, color="black", linestyle="--", linewidth=0.8)
+        mark_value(axis, run.bottleneck[0] / factor).set_label("start / the paper's factor")
     if zero.any():
         lowest = np.floor(np.log10(np.nanmin(shown)))  # the decade of the least value; zero half a one below
         line, ticks = 10 ** (lowest - 0.5), 10.0 ** np.arange(lowest, np.log10(np.nanmax(shown)) + 1)
-        axis.scatter(run.steps[zero], np.full(zero.sum(), line), color="#1f5fbf", s=8)
-        axis.set_yticks([line, *ticks], ["0", *(f"{tick:g}" for tick in ticks)])
+        style = {"color": colour_of(LOSS), "s": 9, "linewidths": 0, "label": "exactly zero"}
+        axis.scatter(run.steps[zero], np.full(zero.sum(), line), **style)
+        axis.set_yticks([line, *ticks], ["0", *map(log_text, ticks)])
         axis.minorticks_off()
         axis.set_ylim(line / 1.6, ticks[-1])
 

@@ -16,7 +16,7 @@ import pandas as pd
 
 from paper_artifact.catalogue import shape_row, shapes_of
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS
+from paper_artifact.files import RESULTS, load_json
 from paper_artifact.report.kit.frames import paper
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (
@@ -76,7 +76,7 @@ def plan(path: Path = PLAN) -> dict:
 
 def _json(path: Path) -> dict:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return load_json(path)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot read {path.name} ({type(error).__name__}); restore it with git") from error
 

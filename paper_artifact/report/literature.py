@@ -16,7 +16,8 @@ COLUMNS = {  # of the published table: heading
 
 def sources() -> pd.DataFrame:
     """Return the methods' sources: method, key (in the paper's bibliography), title, year, venue, link, what
-    is optimised, checked ("abstract" or "unchecked"). Texts."""
+    is optimised, checked against what ("abstract", or "objective": also the loss itself in the paper's body,
+    on its authors' page or in their code). Texts."""
     return pd.read_csv(PUBLISHED / "literature.csv", dtype=str, keep_default_na=False)
 
 

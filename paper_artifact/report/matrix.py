@@ -10,12 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from scipy.optimize import linear_sum_assignment
 
-from paper_artifact.catalogue import colour_of
-from paper_artifact.export.figures import new_figure
+from paper_artifact.catalogue import colour_of, in_order
+from paper_artifact.export.figures import FAINT, INK, PAGE, new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import label_axis
+from paper_artifact.report.kit.figures import label_axis, legend_below
 from paper_artifact.report.kit.records import Collected, target_of
 from paper_artifact.report.kit.tables import beside
 from paper_artifact.report.kit.text import NOT_RECORDED, counts_text
@@ -160,22 +162,29 @@ def wasserstein_parts(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 
 def seed_figure(collected: Collected, shapes: Sequence[str] = ()) -> Figure:
-    """Return Fig. S3: per-seed tails as dots and the arms' means as bars, per shape (default: all);
+    """Return Fig. S3: per-seed tails as dots and the arms' means as bars from zero, per shape (default: all);
     crosses: the paper's means."""
     shapes = list(shapes) or frames.shapes(collected)
-    figure, axes = new_figure(1, len(shapes), 4.6, 2.8)
     arms = frames.arms(collected).dropna(subset="mean")
+    arms = arms[arms["shape"].isin(shapes)]
+    names = in_order(list(arms["condition"].unique()))
+    figure, axes = new_figure(
+        1, len(shapes), PAGE / max(len(shapes), 2), 0.9 + 0.21 * len(names), sharey=True
+    )
     paper = frames.paper_arms().set_index(frames.ARM)["value"]
     for axis, shape in zip(axes[0], shapes, strict=True):
-        own = arms[arms["shape"] == shape]
-        for place, arm in enumerate(own.itertuples()):
-            colour = colour_of(arm.condition)
-            axis.bar(place, arm.mean, color=colour, alpha=0.35, width=0.7)
-            axis.scatter([place] * len(arm.tails), arm.tails, color=colour, s=14, zorder=3)
+        for arm in arms[arms["shape"] == shape].itertuples():
+            colour, place = colour_of(arm.condition), names.index(arm.condition)
+            axis.barh(place, arm.mean, color=colour, alpha=0.35, height=0.72)
+            dots = {"facecolor": colour, "edgecolor": "white", "linewidths": 0.5, "s": 20, "zorder": 3}
+            axis.scatter(arm.tails, [place] * len(arm.tails), **dots)
             if (shape, arm.condition) in paper.index:
-                printed = paper[shape, arm.condition]
-                axis.scatter(place, printed, color="black", marker="x", s=26, linewidths=1, zorder=4)
-        names = [name.replace(", ", "\n").replace("=", "\n") for name in own["condition"]]
-        axis.set_xticks(range(len(own)), names)
-        label_axis(axis, f"{shape}: tail bottleneck per seed (× the paper's mean)")
+                cross = {"color": INK, "marker": "x", "s": 26, "linewidths": 1.1, "zorder": 4}
+                axis.scatter(paper[shape, arm.condition], place, label="paper's mean", **cross)
+        label_axis(axis, shape, "tail bottleneck (radius / D)")
+        axis.grid(visible=False, axis="y")
+        axis.set_yticks(range(len(names)), names)
+    axes[0][0].set_ylim(len(names) - 0.4, -0.6)
+    dot = Line2D([], [], marker="o", color=FAINT, linestyle="none", label="a seed")
+    legend_below(figure, 3, (dot, Patch(facecolor=FAINT, alpha=0.5, label="mean of the seeds")))
     return figure

@@ -1,4 +1,4 @@
-"""Notebooks 03, 04, 06, 07, 10, 14, 15: long measurements, kept in `results/measured/NAME.csv`.
+"""Notebooks 03, 04, 06, 07, 10, 14 to 19: long measurements, kept in `results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -46,6 +46,18 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
     "speed": (
         "measure_speed",
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
+    ),
+    "photographs": (
+        "measure_photographs",
+        "the mug of data_scripts/mug from its photographs, C0 and T1, against its true surface (pycolmap)",
+    ),
+    "dirty": (
+        "measure_dirty",
+        "bars that noise, outliers and gaps bear in SfM clouds, and what cleaning does to them",
+    ),
+    "words_cost": (
+        "measure_words_cost",
+        "CPU time of a refresh and a step of C1, T1 and T2 on committed soups, M = 2048 and 8192",
     ),
     "peers": (
         "measure_peers",

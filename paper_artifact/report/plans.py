@@ -8,14 +8,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from paper_artifact.alpha.gabriel import passes_gate
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.catalogue import SHAPES
-from paper_artifact.export.figures import new_figure
+from paper_artifact.catalogue import LOSS, SHAPES
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import label_axis
+from paper_artifact.report.kit.figures import label_axis, legend_below, mark_value
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected, collect_study, key
 from paper_artifact.report.kit.text import NOT_RECORDED, blank
@@ -23,10 +24,16 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.find import surface
 from paper_artifact.topology.floor import measurement_floor
 
-KINDS = {"matched": "#1f5fbf", "recruited": "#1e8449", "unreached": "#c0392b", "diagonal": "#b7950b"}
+# What becomes of a bar, with its colour and hatching.
+KINDS = {
+    "matched": ("#b9cfdc", ""),
+    "recruited": ("#e0901a", ""),
+    "unreached": ("#3a2c4d", "////"),
+    "diagonal": ("#8f8f8f", ""),
+}
 LAST = 20  # refreshes averaged for the residual at the end: the steps of the tail, 2300 to 2500
 
-Panels = Sequence[tuple[str, str]]  # (shape, condition)
+Panels = Sequence[tuple[str, str] | tuple[str, str, int]]  # (shape, condition), or with a seed of its own
 
 
 def refresh_table(record: Mapping) -> pd.DataFrame:
@@ -163,32 +170,56 @@ def _positions(simplices: np.ndarray) -> str:
     return str(least) if least == most else f"{least}–{most}"
 
 
+def handover_seed(collected: Collected, shape: str, condition: str = LOSS) -> int:
+    """Return the seed of an arm in which recruitment hands its bars over to the matching most completely: the
+    largest rise of the matched targets' number from the first quarter of its refreshes to the last; 0 where
+    nothing is recorded."""
+    rises = {}
+    for record in collected.of(shape, condition):
+        matched = refresh_table(record)["matched"].to_numpy()
+        quarter = max(1, len(matched) // 4)
+        rises[key(record)[2]] = matched[-quarter:].mean() - matched[:quarter].mean()
+    return max(rises, key=lambda seed: (rises[seed], -seed), default=0)
+
+
 def plan_figure(collected: Collected, panels: Panels, seed: int = 0) -> Figure:
-    """Return the plan composition per refresh of one seed, one axes per panel; dashed: the number of
-    target bars."""
-    figure, axes = new_figure(1, len(panels), 3.4, 2.5)
-    for axis, (shape, condition) in zip(axes[0], panels, strict=True):
-        log = _log(collected, shape, condition, seed)
-        label_axis(
-            axis, f"{shape} {condition}, seed {seed}" + ("" if len(log) else f": {NOT_RECORDED}"), "step"
-        )
+    """Return the plan composition per refresh, one axes per panel, of the panel's seed or else of `seed`:
+    the targets that are matched, recruited and unreached stacked on one another, a line for live bars that
+    go to the diagonal; dashed: the number of target bars."""
+    figure, axes = new_figure(1, len(panels), PAGE / len(panels), 2.0)
+    for axis, (shape, condition, *own) in zip(axes[0], panels, strict=True):
+        chosen = own[0] if own else seed
+        log = _log(collected, shape, condition, chosen)
+        title = f"{shape}, {condition}, seed {chosen}" + ("" if len(log) else f":\n{NOT_RECORDED}")
+        label_axis(axis, title, "step", grid=False)
         if not len(log):
             continue
-        for kind, colour in KINDS.items():
-            if kind != "diagonal" or log[kind].any():
-                axis.step(log["step"], log[kind], where="post", color=colour, label=kind, linewidth=1.1)
-        axis.axhline(log["targets"].iloc[0], color="grey", linestyle="--", linewidth=0.8, label="targets")
-        axis.set_ylim(-0.1, max(3, log["targets"].max() + 0.5))
-        axis.legend(fontsize=6)
+        steps = np.append(log["step"], log["step"].iloc[-1] + log["step"].diff().median())
+        below = np.zeros(len(steps))
+        for kind, (colour, hatch) in KINDS.items():
+            counted = np.append(log[kind], log[kind].iloc[-1])
+            if kind == "diagonal":
+                if counted.any():
+                    axis.step(steps, counted, where="post", color=colour, label=kind, linestyle="-.")
+                continue
+            style = {"facecolor": colour, "hatch": hatch, "edgecolor": "white", "linewidth": 0}
+            axis.fill_between(steps, below, below + counted, step="post", label=kind, **style)
+            below = below + counted
+        mark_value(axis, log["targets"].iloc[0]).set_label("targets")
+        axis.set_ylim(0, max(3, below.max() + 0.5))
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.set_xlim(0, steps[-1])
+    axes[0][0].set_ylabel("target bars in the plan")
+    legend_below(figure, 5)
     return figure
 
 
 def composition_table(collected: Collected, panels: Panels, seed: int = 0) -> pd.DataFrame:
-    """Return the figure's numbers: how many refreshes of that seed had which (matched, recruited,
-    unreached, diagonal)."""
+    """Return the figure's numbers: how many refreshes of a panel's seed had which (matched,
+    recruited, unreached, diagonal)."""
     rows = []
-    for shape, condition in panels:
-        log = _log(collected, shape, condition, seed)
+    for shape, condition, *own in panels:
+        log = _log(collected, shape, condition, own[0] if own else seed)
         if len(log):
             counted = log.groupby(list(KINDS)).size().rename("refreshes").reset_index()
             rows.append(counted.assign(shape=shape, condition=condition))

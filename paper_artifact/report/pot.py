@@ -183,7 +183,7 @@ def pot_figure(solid: Solid, size: int = 300) -> Figure:
         render_flat(shell.vertices, shell.faces, size, direction=(0.2, -0.5, 1.0), frame=frame),
         render_flat(*half, size, direction=(0.15, -1.0, 0.25), frame=frame, inside=CUT),
     ]
-    return image_rows([("", images)], size / 90)
+    return image_rows([("", images)])
 
 
 def ingest_table(solid: Solid) -> pd.DataFrame:

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from paper_artifact.export.figures import draw_diagram, new_figure
-from paper_artifact.report.kit.figures import draw_cloud
+from paper_artifact.export.figures import PAGE, draw_diagram, new_figure
+from paper_artifact.report.kit.figures import cloud_limits, diagram_handles, draw_cloud, legend_below
 from paper_artifact.report.kit.published import published
 from paper_artifact.study.blindness import (
     CASES,
@@ -76,19 +76,22 @@ def table_s1(readings: pd.DataFrame) -> pd.DataFrame:
 
 
 def picture(measured: Measured, seed: int) -> Figure:
-    """Return one row per case: clouds of A and B from the side, and their diagrams in the discriminating
-    dimension (stars: the ground truth's significant bars; dotted: the floor)."""
+    """Return one row per case: clouds of A and B from the side, on the same axes, and their diagrams in the
+    discriminating dimension (stars: the ground truth's significant bars; dotted: the floor)."""
     cases = [case for case, each in measured if each == seed]
-    figure, axes = new_figure(len(cases), 4, 2.5, 2.4)
+    figure, axes = new_figure(len(cases), 4, PAGE / 4, 1.8)
     for case, line in zip(cases, axes, strict=True):
         probe, a, b = measured[case, seed]
+        limits = cloud_limits(probe.a, probe.b)
         for axis, cloud, which in ((line[0], probe.a, "A, right"), (line[1], probe.b, "B, wrong")):
-            draw_cloud(axis, cloud[:SHOWN], f"{case}: {which}")
+            draw_cloud(axis, cloud[:SHOWN], f"{case}: {which}", limits=limits)
         limit = 1.2 * max(bars.max() for bars in (a.significant, b.significant, a.target) if len(bars))
         for axis, reading, which in ((line[2], a, "A"), (line[3], b, "B")):
-            draw_diagram(
-                axis, reading.bars, reading.floor, limit, reading.target, f"H{probe.dimension} of {which}"
-            )
+            title = f"H{probe.dimension} of {which}"
+            draw_diagram(axis, reading.bars, reading.floor, limit, reading.target, title)
+        for axis in (line[1], line[3]):
+            axis.set_ylabel("")
+    legend_below(figure, 4, diagram_handles("ground truth's significant bar"))
     return figure
 
 

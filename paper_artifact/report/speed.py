@@ -11,14 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from paper_artifact.bench.run import run_row
 from paper_artifact.bench.speed import SIZES, TERMS, TRIANGLES, fit_law, law_columns, step_rows
 from paper_artifact.catalogue import BASELINE, LOSS, study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.record.environment import host, packages
+from paper_artifact.report.kit.figures import MARKS, label_axis, mark_value, plain_log
 from paper_artifact.report.kit.published import published
 
 NOT_MEASURED = "not measured: python -m paper_artifact measure speed"
@@ -143,29 +145,35 @@ def run_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 def speed_figure(stored: pd.DataFrame) -> Figure:
     """Return a step's milliseconds against pixels (a line per N) and against N (a line per image side), both
-    axes logarithmic: points measured, lines the law."""
-    figure, axes = new_figure(1, 2, 4.8, 3.4)
-    own = _steps(stored)
+    axes logarithmic: points measured, lines the law; dashed: the study's images and the sphere's budget."""
+    figure, axes = new_figure(1, 2, PAGE / 2, 3.1)
+    own, config = _steps(stored), study_config("sphere")
     if len(own) < len(TERMS):
         for axis in axes[0]:
             axis.set_axis_off()
-        axes[0][0].text(0, 0.5, NOT_MEASURED, fontsize=9)
+        axes[0][0].text(0, 0.5, NOT_MEASURED)
         return figure
     constants, _ = fit_law(own.to_dict("records"))
-    for axis, x, line in ((axes[0][0], "size", "N"), (axes[0][1], "N", "size")):
-        for number, (value, rows) in enumerate(own.groupby(line)):
-            colour = f"C{number}"
+    panels = ((axes[0][0], "size", "N", config.size), (axes[0][1], "N", "size", config.budget))
+    for axis, x, line, studied in panels:
+        groups = list(own.groupby(line))
+        shades = colormaps["viridis"](np.linspace(0, 0.85, len(groups)))
+        for number, (value, rows) in enumerate(groups):
             label = f"N = {value:,}" if line == "N" else f"{value} px"
-            axis.plot(rows[x], rows["ms"], "o", color=colour, markersize=4, label=label)
+            mark = MARKS[number % len(MARKS)]
+            axis.plot(rows[x], rows["ms"], mark, color=shades[number], markersize=4, label=label)
             fine = rows.iloc[[0] * 50].assign(**{x: np.geomspace(rows[x].min(), rows[x].max(), 50)})
             law = _predicted(constants, fine["N"], fine["size"], fine["views"])
-            axis.plot(fine[x], law, color=colour, linewidth=1)
-        words = {"size": "side of the images, pixels", "N": "triangles N"}
-        axis.set(xscale="log", yscale="log", xlabel=words[x], ylabel="CPU ms per step (4 views)")
+            axis.plot(fine[x], law, color=shades[number], linewidth=1)
+        words = {"size": "side of the images (pixels)", "N": "triangles N"}
+        label_axis(axis, "", words[x], "CPU ms per step (4 views)" if x == "size" else "")
+        plain_log(axis)
+        plain_log(axis, "x")
         ticks = [value for value in sorted(own[x].unique()) if value != TRIANGLES[-2]]  # too near the next
         axis.set_xticks(ticks, [f"{value:,}" for value in ticks])
         axis.minorticks_off()
-        axis.grid(alpha=0.25)
-        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "frameon": False}  # beside the data
-        axis.legend(fontsize=8, title="dots: measured\nlines: law", title_fontsize=8, **place)
+        name = f"study: {studied} px" if x == "size" else f"budget N = {studied:,}"
+        mark_value(axis, studied, upright=True).set_label(name)
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 3}  # above the data
+        axis.legend(title="marks: measured, lines: law", **place)
     return figure

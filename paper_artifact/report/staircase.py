@@ -12,8 +12,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from paper_artifact.evaluate.staircase import MULTIPLIER
-from paper_artifact.export.figures import new_figure
-from paper_artifact.report.kit.figures import label_axis
+from paper_artifact.export.figures import INK, PAGE, new_figure
+from paper_artifact.report.kit.figures import MARKS, SERIES, label_axis, legend_below, plain_log
 from paper_artifact.report.kit.frames import shapes_in_order
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import (
@@ -29,6 +29,7 @@ from paper_artifact.report.kit.staircase import (
 )
 from paper_artifact.scene.shapes import SHAPES
 
+ASIDE = 1.06  # times M: where every other bar of a shape is drawn
 Followed = Mapping[str, Sequence[str]]  # shape: names of its bars, ("loop 1", "loop 2")
 
 
@@ -66,23 +67,29 @@ def followed_bars(table: pd.DataFrame, follow: Followed) -> pd.DataFrame:
 
 def floor_figure(table: pd.DataFrame, follow: Followed) -> Figure:
     """Return Fig. S10: floors falling as M^(-1/2) and the lifetimes of the followed bars that they fall
-    below."""
-    figure, axes = new_figure(1, len(follow), 3.8, 3.0)
+    below; bars of one shape stand a little beside one another, because two often have one length."""
+    figure, axes = new_figure(1, len(follow), PAGE / max(len(follow), 2), 2.6, sharey=True)
     shapes = followed_bars(table, follow).groupby("shape", sort=False)
+    colours: dict[str, tuple[str, str]] = {}
     for axis, (shape, own) in zip(axes[0], shapes, strict=True):
         floors = own.groupby("samples")[["floor", "law"]].mean()
-        line = axis.plot(floors["floor"], color="#c0392b", marker="o", markersize=3, label="floor, measured")
-        axis.plot(floors["law"], color="black", linestyle=":", label="floor, closed form")
+        axis.plot(floors["floor"], color=INK, linewidth=1.6, label="floor, measured")
+        axis.plot(floors["law"], color=INK, linestyle=":", linewidth=2.2, label="floor, closed form")
         for number, (name, bar) in enumerate(own.groupby("bar", sort=False)):
-            mean = bar.groupby("samples")["lifetime"].mean()
-            axis.plot(mean, color=f"C{number}", marker="s", markersize=3, label=name)
-            axis.scatter(bar["samples"], bar["lifetime"], s=4, color=f"C{number}", alpha=0.5, linewidths=0)
-        axis.set(xscale="log", yscale="log")
-        axis.set_xticks(line[0].get_xdata(), [str(each) for each in line[0].get_xdata()], rotation=45)
-        axis.set_yticks([0.02, 0.03, 0.05, 0.1, 0.2], ["0.02", "0.03", "0.05", "0.1", "0.2"])
+            free = list(zip(SERIES, MARKS, strict=True))
+            colour, marker = colours.setdefault(str(name), free[len(colours) % len(free)])
+            mean, aside = bar.groupby("samples")["lifetime"].mean(), ASIDE ** (number % 2)
+            style = {"color": colour, "marker": marker, "markersize": 4.5, "linewidth": 0.9}
+            axis.plot(mean.index * aside, mean, label=name, **style)
+            axis.scatter(bar["samples"] * aside, bar["lifetime"], s=5, color=colour, alpha=0.6, linewidths=0)
+        label_axis(axis, shape, "samples M")
+        plain_log(axis, "x")
+        plain_log(axis)
+        axis.set_xticks(list(floors.index), [f"{each:,}" for each in floors.index], rotation=45)
+        axis.set_yticks([0.02, 0.03, 0.05, 0.1, 0.2])
         axis.minorticks_off()
-        label_axis(axis, f"{shape}: radius / D", "samples M")
-        axis.legend(fontsize=6, loc="lower left")
+    axes[0][0].set_ylabel("floor, lifetime (radius / D)")
+    legend_below(figure, 4)
     return figure
 
 

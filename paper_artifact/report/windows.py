@@ -15,7 +15,15 @@ from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.evaluate.staircase import MULTIPLIER
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import INK, PAGE, new_figure
+from paper_artifact.report.kit.figures import (
+    DIMENSIONS,
+    label_axis,
+    legend_below,
+    mark_value,
+    mark_window,
+    plain_log,
+)
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.staircase import BAR_NAMES, bar_name, bars, staircase
 from paper_artifact.report.kit.text import span
@@ -172,28 +180,37 @@ def torus_table(margins: pd.DataFrame) -> pd.DataFrame:
 
 def window_figure(margins: pd.DataFrame) -> Figure:
     """Return per shape its features' flip points 6·margin (medians over the seeds) on a common axis of k:
-    filled IN, hollow OUT; the band is the window of k, small dots are single seeds."""
-    figure, axes = new_figure(1, 1, 7.5, 4.2)
-    axis, medians = axes[0][0], median_margins(margins)
+    filled IN, hollow OUT, small dots single seeds; marked: the window of k and the study's k = 6."""
+    medians = median_margins(margins)
     places = {shape: place for place, shape in enumerate(medians["shape"].unique())}
-    for dimension, colour in enumerate(("#1e8449", "#1f5fbf", "#c0392b")):
+    figure, axes = new_figure(1, 1, PAGE, 1.1 + 0.19 * len(places))
+    axis = axes[0][0]
+    for dimension, (colour, marker) in DIMENSIONS.items():
         seeds, own = (each[each["dimension"] == dimension] for each in (margins, medians))
+        if not len(own):
+            continue
         axis.scatter(
-            MULTIPLIER * seeds["margin"], seeds["shape"].map(places), s=3, color=colour, linewidths=0
+            MULTIPLIER * seeds["margin"], seeds["shape"].map(places) + 0.3, s=3, color=colour, linewidths=0
         )
-        faces, heights = own["inside"].map({True: colour, False: "none"}), own["shape"].map(places)
-        axis.scatter(MULTIPLIER * own["margin"], heights, s=34, c=faces, edgecolor=colour, zorder=3)
-        axis.scatter([], [], color=colour, s=34, label=BAR_NAMES[dimension])
-    axis.scatter([], [], facecolor="none", edgecolor="black", s=34, label="OUT (hollow)")
-    low, high = (MULTIPLIER * each["margin"] for each in binding(medians))
-    axis.axvspan(low, high, color="#f5d76e", alpha=0.5, linewidth=0)
-    axis.axvline(MULTIPLIER, color="black", linestyle="--", linewidth=0.8)
-    axis.set_yticks(list(places.values()), list(places), fontsize=8)
-    axis.invert_yaxis()
-    axis.set(xscale="log", xlabel="k at which the decision flips (6 × margin)")
-    ticks = [2, 3, 4, 5, 6, 8, 10, 15, 20, 30]
-    axis.set_xticks(ticks, list(map(str, ticks)))
+        heights = own["shape"].map(places) - (0.3 if dimension == 0 else 0)  # beside the void of its size
+        style = {"s": 32, "marker": marker}
+        for inside, paint in (
+            (True, {"facecolor": colour, "edgecolor": "white", "linewidths": 0.6}),
+            (False, {"facecolor": "white", "edgecolor": colour, "linewidths": 1.1}),
+        ):
+            chosen = own["inside"] == inside
+            axis.scatter(MULTIPLIER * own["margin"][chosen], heights[chosen], zorder=3, **style, **paint)
+        axis.scatter([], [], color=colour, label=f"H{dimension}, {BAR_NAMES[dimension]}", **style)
+    axis.scatter([], [], facecolor="white", edgecolor=INK, s=30, label="hollow: OUT")
+    axis.scatter([], [], color=INK, s=3, label="one seed")
+    window = mark_window(axis, tuple(MULTIPLIER * each["margin"] for each in binding(medians)))
+    window.set_label("window of k")
+    mark_value(axis, MULTIPLIER, upright=True).set_label(f"k = {MULTIPLIER:g}")
+    label_axis(axis, "", "k at which the decision flips: 6 × lifetime / floor")
+    plain_log(axis, "x")
+    axis.set_yticks(list(places.values()), list(places))
+    axis.set_ylim(len(places) - 0.4, -0.6)
+    axis.set_xticks([2, 3, 4, 5, 6, 8, 10, 15, 20, 30])
     axis.minorticks_off()
-    axis.grid(alpha=0.25)
-    axis.legend(fontsize=7, loc="lower right")
+    legend_below(figure, 4, (window,))
     return figure

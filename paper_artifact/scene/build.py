@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json
+from paper_artifact.files import load_json, write_failure, write_json, write_npz
 from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
@@ -120,9 +120,7 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
             if not _holds(folder, key, config.views):
                 raise
     except OSError as error:
-        raise InputError(
-            f"cannot write the scene to {folder}: {error.strerror}; choose a folder that you can write to"
-        ) from error
+        raise write_failure(f"the scene to {folder}", error) from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -143,7 +141,7 @@ def _holds(folder: Path, key: str, views: int) -> bool:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     try:
-        held = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["key"]
+        held = load_json(folder / DESCRIPTION)["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder} exists and is no scene of this package; choose another folder or remove it"
@@ -204,13 +202,13 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         errors=np.zeros(len(positions)),
     )
     write_model(model, folder / "sparse" / "0")
-    np.savez(
-        folder / GROUND_TRUTH,
-        vertices=user.vertices,
-        faces=mesh.faces,
-        name=np.array(mesh.name),
-        betti=np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
-    )
+    truth = {
+        "vertices": user.vertices,
+        "faces": mesh.faces,
+        "name": np.array(mesh.name),
+        "betti": np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
+    }
+    write_npz(folder / GROUND_TRUTH, truth, compressed=False)
     write_json(
         folder / DESCRIPTION,
         {

@@ -6,6 +6,7 @@ colour and reprojection error); 2-D observations and tracks are read past, and w
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_bytes, write_text
+from paper_artifact.files import inside, write_bytes, write_text
 from paper_artifact.scene.cameras import Camera
 
 MODELS = (
@@ -34,6 +35,9 @@ MODELS = (
 MOST_MODELS = 64  # a number beyond is damage, one in between a model newer than this list
 PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has; the other models are not read
 FILES = ("cameras", "images", "points3D")
+FARTHEST = 1e25  # world units: matrices of what is larger are not finite in float32
+SHORTEST = 1e-6  # a quaternion's length; one that turns has length 1
+LARGEST = 1e9  # pixels, of a camera's size and parameters
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def read_model(folder: Path | str) -> Model:
     """
     folder = Path(folder)
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    paths = [folder / (name + suffix) for name in FILES]
+    paths = [inside(folder, name + suffix) for name in FILES]
     for path in paths:
         if not path.is_file():
             raise InputError(
@@ -164,7 +168,8 @@ class _Bytes:
 def _checked_camera(model: str, width: int, height: int, parameters: tuple[float, ...]) -> Intrinsics:
     if len(parameters) != PARAMETERS[model]:
         raise ValueError(f"{model} with {len(parameters)} parameters")
-    if width < 1 or height < 1 or not np.isfinite(parameters).all() or min(parameters[:-2]) <= 0:
+    sizes = np.abs([width, height, *parameters])
+    if width < 1 or height < 1 or not sizes.max() < LARGEST or min(parameters[:-2]) <= 0:
         raise ValueError(f"a camera of {width} x {height} pixels with parameters {parameters}")
     return Intrinsics(model, int(width), int(height), tuple(float(value) for value in parameters))
 
@@ -178,16 +183,20 @@ def _pinhole_only(model: str, camera: int) -> None:
 
 
 def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
-    if not name or len(numbers) != 7 or not np.isfinite(numbers).all() or not np.any(numbers[:4]):
+    if not name or len(numbers) != 7 or not np.abs(numbers).max() < FARTHEST:
         raise ValueError(f"image '{name}' has no valid pose")
+    if math.hypot(*numbers[:4]) < SHORTEST:
+        raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
+    if any(part in ("", ".", "..") for part in name.replace("\\", "/").split("/")):
+        raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
     return Pose(name, int(camera), tuple(float(q) for q in numbers[:4]), tuple(float(t) for t in numbers[4:]))
 
 
 def _points(ids: list[int], positions: list, colours: list, errors: list) -> tuple[np.ndarray, ...]:
     xyz = np.array(positions, dtype=np.float64).reshape(-1, 3)
     rgb = np.array(colours, dtype=np.int64).reshape(-1, 3)
-    if not np.isfinite(xyz).all():
-        raise ValueError("a point with NaN or infinite coordinates")
+    if xyz.size and not np.abs(xyz).max() < FARTHEST:
+        raise ValueError(f"a point with coordinates that are NaN, infinite or beyond {FARTHEST:g}")
     if rgb.size and (rgb.min() < 0 or rgb.max() > 255):
         raise ValueError("a colour outside 0..255")
     return np.array(ids, dtype=np.int64), xyz, rgb.astype(np.uint8), np.array(errors, dtype=np.float64)

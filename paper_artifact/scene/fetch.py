@@ -72,9 +72,15 @@ def fetch(
     """Return the mesh file as `mesh_path` does, and its origin. quiet: no bar; base_url: another raw-file
     server.
     """
-    entry = source(key)
+    return fetch_file(source(key), mirror=mirror, downloads=downloads, quiet=quiet, base_url=base_url)
+
+
+def fetch_file(
+    entry: Source, *, mirror: Path | str | None, downloads: Path, quiet: bool, base_url: str
+) -> Fetched:
+    """Return the file of one row in place, and its origin; see `fetch`."""
     if not entry.obtainable:
-        raise InputError(f"the mesh '{key}' cannot be had: {entry.notes}; leave it out")
+        raise InputError(f"the mesh '{entry.key}' cannot be had: {entry.notes}; leave it out")
     archive = downloads / entry.relative_path
     mesh = downloads / entry.relative_mesh_path
     if _has_hash(mesh, entry.member_sha256 if entry.member else entry.sha256):

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.scene.colmap import FILES, read_model
+from paper_artifact.files import inside, load_json
+from paper_artifact.scene.colmap import FARTHEST, FILES, read_model
 from paper_artifact.scene.images import mask_of, read_file
 
 DESCRIPTION = "scene.json"
@@ -40,8 +41,8 @@ def scene_root(path: Path | str) -> Path:
 
 def model_folder(root: Path) -> Path:
     """Return the folder of the sparse model: sparse/0, or sparse/ itself where there is no such folder."""
-    sparse = root / "sparse"
-    return sparse / "0" if (sparse / "0").is_dir() else sparse
+    first = inside(root, "sparse/0")
+    return first if first.is_dir() else inside(root, "sparse")
 
 
 def scene_name(root: Path) -> str:
@@ -54,20 +55,20 @@ def read_description(root: Path) -> dict:
 
     Raises InputError unless it is sound: background [r, g, b] in [0,1] and radius > 0.
     """
-    file = root / DESCRIPTION
+    file = inside(root, DESCRIPTION)
     if not file.is_file():
         return {}
     try:
-        description = json.loads(file.read_text(encoding="utf-8"))
+        description = load_json(file)
         background = np.array(description["background"], dtype=np.float64)
         sound = (
             background.shape == (3,)
             and background.min() >= 0
             and background.max() <= 1
-            and description["radius"] > 0
+            and 0 < description["radius"] < FARTHEST
             and isinstance(description.get("files", {}), dict)
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
@@ -88,7 +89,7 @@ def check_files(root: Path, description: dict) -> None:
     """Raise InputError when a file of a built scene is not what scene.json ("files") says of it; scenes of
     others, and of older versions, say nothing."""
     for name, expected in description.get("files", {}).items():
-        file = root / name
+        file = inside(root, name)
         if file.is_file() and sha256_of(file.read_bytes()) != expected:
             raise InputError(
                 f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
@@ -107,7 +108,7 @@ def scene_digest(root: Path) -> str:
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     held = {f"model/{name}": sha256_of((folder / (name + suffix)).read_bytes()) for name in FILES}
     for name in names:
-        held[f"images/{name}"] = sha256_of(read_file(root / "images" / name))
+        held[f"images/{name}"] = sha256_of(read_file(inside(root, f"images/{name}")))
         if (mask := mask_of(root, name)) is not None:
             held[f"masks/{name}"] = sha256_of(read_file(mask))
     description = read_description(root)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from paper_artifact.errors import InputError
+from paper_artifact.files import inside
 
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
+MOST_PIXELS = 2**27  # of one image: 134 million, more than any camera gives
 
 
 class Pixels(NamedTuple):
@@ -82,9 +86,9 @@ def mask_of(folder: Path, name: str) -> Path | None:
     masks = folder / "masks"
     if not masks.is_dir():
         return None
-    for each in (masks / name, masks / f"{name}.png", (masks / name).with_suffix(".png")):
-        if each.is_file():
-            return each
+    for each in (name, f"{name}.png", str(Path(name).with_suffix(".png"))):
+        if (mask := inside(folder, f"masks/{each}")).is_file():
+            return mask
     raise InputError(
         f"{masks} has no mask for {name} ({name}.png would be one); add it, white where the photograph "
         "counts, or move the folder away"
@@ -106,12 +110,21 @@ def read_file(file: Path) -> bytes:
 def _opened(data: bytes, file: Path) -> Image.Image:
     """Return the decoded picture; InputError when it is damaged or deeper than 8 bit."""
     try:
-        with Image.open(io.BytesIO(data)) as opened:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as opened,
+        ):
+            width, height = opened.size
+            if width * height > MOST_PIXELS:
+                raise InputError(
+                    f"{file} has {width}×{height} pixels, too many to be a photograph; scale it down"
+                )
             if opened.mode not in TRANSPARENT + OPAQUE:
                 raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
             opened.load()
             return opened.copy()
     except InputError:
         raise
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise InputError(f"{file} is damaged or no image; copy it again") from error
+    except Exception as error:  # PIL's decoders raise whatever their decoding meets
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"{file} is damaged or no image ({reason}); copy it again") from error

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_npz
+from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.cameras import FAR, NEAR, framed, world_to_clip
@@ -84,7 +84,7 @@ def load_scene(
     train = indices[~np.isin(indices, chosen)]
 
     def pixels(view: int) -> Pixels:
-        file, camera = path / "images" / names[view], cameras[view]
+        file, camera = inside(path, f"images/{names[view]}"), cameras[view]
         return read_pixels(read_file(file), file, camera.width / camera.height, mask_of(path, names[view]))
 
     if background == MEAN:
@@ -136,7 +136,7 @@ def load_ground_truth(path: Path | str) -> Mesh:
 
     Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
     """
-    file = Path(path) / GROUND_TRUTH
+    file = inside(Path(path), GROUND_TRUTH)
     if not file.is_file():
         raise InputError(
             f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
@@ -145,12 +145,16 @@ def load_ground_truth(path: Path | str) -> Mesh:
     try:
         stored = load_npz(file)
         vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-    except (OSError, ValueError, KeyError) as error:
+        known = tuple(int(value) for value in betti)
+        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
-    known = tuple(int(value) for value in betti)
-    return checked_mesh(vertices, faces, str(name), known if len(known) == 3 else None, welded=False)
+    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.shape[1] == faces.shape[1] == 3:
+        raise InputError(f"{file} holds no mesh; remove the scene's folder and build it again")
+    mesh = checked_mesh(vertices, faces, str(file), known if len(known) == 3 else None, welded=False)
+    return replace(mesh, name=str(name))
 
 
 def _cloud_ball(positions: np.ndarray) -> tuple[np.ndarray, float]:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import atomic_path, load_npz
+from paper_artifact.files import load_npz, write_npz
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
@@ -93,15 +93,14 @@ def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> None:
     """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically.
 
     frame: of its coordinates, kept beside them ("offset", "exponent") where it is not the user's. Raises
-    InputError when the folder is not writable.
+    InputError when the folder is not writable or the disk is full.
     """
     tensors = {"vertices": soup.vertices, "features": soup.features, "opacity": soup.opacity}
     tensors |= {f"mlp_{index}": tensor for index, tensor in enumerate(soup.mlp)}
     arrays: dict[str, Any] = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
     if frame != SAME:
         arrays |= {"offset": np.array(frame.offset), "exponent": np.array(frame.exponent)}
-    with atomic_path(Path(path)) as temporary, open(temporary, "wb") as handle:
-        np.savez_compressed(handle, **arrays)
+    write_npz(path, arrays)
 
 
 def load_soup(path: Path | str) -> Soup:
@@ -112,7 +111,8 @@ def load_soup(path: Path | str) -> Soup:
     try:
         data = load_npz(path)
         names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
-        tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
+        with np.errstate(over="ignore", invalid="ignore"):
+            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in tensors]

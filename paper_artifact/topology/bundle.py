@@ -8,7 +8,6 @@ locked for all live evaluations.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +17,13 @@ import numpy as np
 
 from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json
+from paper_artifact.files import load_json, write_json
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, significant
 
 FORMAT = "paper_artifact target bundle 1"
+MOST_SAMPLES = 10**8  # of a cloud whose persistence somebody could wait for, and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ def load_bundle(path: Path | str) -> Bundle:
     Raises InputError for a file that is missing, no bundle, or inconsistent.
     """
     try:
-        value = json.loads(Path(path).read_text(encoding="utf-8"))
+        value = load_json(path)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot read the bundle {path}: {error}; build it again") from error
     return bundle_from_json(value, str(path))
@@ -197,7 +197,7 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
             shape=str(value["shape"]),
             source=str(value["source"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is damaged ({type(error).__name__}: {error}); build it again") from error
     numbers = np.concatenate(
         [each.ravel() for each in bars] + [[bundle.floor, bundle.floor_multiplier, bundle.diagonal]]
@@ -209,7 +209,7 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
         and np.isfinite(numbers).all()
         and min(numbers[-3:]) > 0
         and (lengths > bundle.floor).all()
-        and bundle.samples >= 4
+        and 4 <= bundle.samples <= MOST_SAMPLES
         and bundle.dimensions
         and set(bundle.dimensions) <= {0, 1, 2}
     )

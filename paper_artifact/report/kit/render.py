@@ -69,7 +69,7 @@ def render_flat(
         raise InputError(f"a picture needs vertices (V,3) and faces (F,3), at least one, got {shapes}")
     if size < 1:
         raise InputError(f"a picture needs at least one pixel, got {size}")
-    turn = _upright(np.asarray(up, dtype=np.float64))
+    turn = upright(np.asarray(up, dtype=np.float64))
     vertices, towards = vertices @ turn.T, turn @ np.asarray(direction, dtype=np.float64)
     if not np.isfinite(vertices).all() or not 0 < np.linalg.norm(towards) < np.inf:
         raise InputError("a picture needs finite vertices and a direction that is not zero")
@@ -101,8 +101,9 @@ def _face_colours(corners: np.ndarray, camera: Camera, material, inside) -> np.n
     )
 
 
-def _upright(up: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3,3) that takes `up` to +z, the cameras' upward direction."""
+def upright(up: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation (3,3) that takes `up` (3,), any length, to +z, upwards for the cameras.
+    Raises InputError for no direction."""
     length = np.linalg.norm(up)
     if not 0 < length < np.inf:
         raise InputError("up must be a direction that is not zero")

@@ -6,20 +6,31 @@ Rows and columns are the shapes and conditions of the records, in the catalogue'
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from paper_artifact.catalogue import in_order
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.figures import draw_bands, label_axis
+from paper_artifact.report.kit.figures import (
+    draw_bands,
+    label_axis,
+    label_outer,
+    legend_below,
+    mark_value,
+    mark_window,
+)
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, seeds_text, tails_text
-from paper_artifact.study.verdict import BASELINE, LOSS
+from paper_artifact.study.verdict import BASELINE, CONTROLS, LOSS
 
-TITLES = {"bottleneck": "bottleneck to target", "count": "significant bars"}
+WORDS = {"bottleneck": "bottleneck (radius / D)", "count": "significant bars (arms offset)"}
+TOGETHER, VARIANTS = 6, 4  # arms in one axes; of more, variants of the loss that stand beside it in one
+LIFT = 0.06  # of a count's line above the arm before: all at the true count would lie on one another
 
 
 def beside(ours: pd.Series, paper: pd.Series, across: str = "shape") -> pd.DataFrame:
@@ -105,30 +116,76 @@ def seed_table(collected: Collected, *tables: str) -> pd.DataFrame:
     return blank(table.reindex(arms.index))
 
 
+def arm_groups(arms: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return the arms (in the catalogue's order) as (words, arms of one axes): all in one, or, of more than
+    TOGETHER, baseline, loss and controls first and then the loss beside VARIANTS of the others at a time."""
+    main = [arm for arm in arms if arm in (BASELINE, LOSS, *CONTROLS)]
+    others = [arm for arm in arms if arm not in main]
+    if len(arms) <= TOGETHER or LOSS not in main:
+        return [("", list(arms))]
+    parts = np.array_split(others, -(-len(others) // VARIANTS))
+    return [("baseline, loss, controls", main)] + [
+        ("variants of the loss", in_order([LOSS, *part.tolist()])) for part in parts
+    ]
+
+
+def ramp_window(collected: Collected) -> tuple[float, float] | None:
+    """Return the steps between which λ rises in the first record that has a ramp, None where none has."""
+    for record in collected.records:
+        config = record["config"]
+        if ramp := (config["loss"] or {}).get("ramp"):
+            return ramp[0] * config["steps"], ramp[1] * config["steps"]
+    return None
+
+
 def trajectory_figure(
     collected: Collected, shapes: Iterable[str] = (), value: str = "bottleneck", columns: int = 2
 ) -> Figure:
     """Return one axes per shape (default: all), `columns` in a row: a line (mean) and band (range of seeds)
-    per condition.
+    per condition; the first arm's line is the thickest, so that lines on one another all show. Of many arms
+    a shape has several axes below one another (`arm_groups`). The ramp of λ is marked.
 
-    value: a column of `frames.dumps`; "count" has a dashed line at the expected count.
+    value: a column of `frames.dumps`; of "count", dashed, the expected one, and each arm lies LIFT above the
+    one before.
     """
     shapes = list(shapes) or frames.shapes(collected)
     table, runs = frames.dumps(collected), frames.runs(collected)
-    size = (4.6, 3.2) if columns < 3 else (3.0, 2.4)
-    figure, axes = new_figure(-(-len(shapes) // columns), min(columns, len(shapes)), *size)
-    for axis in axes.flat[len(shapes) :]:
-        axis.set_axis_off()
-    for axis, shape in zip(axes.flat, shapes, strict=False):
-        own = runs[runs["shape"] == shape]
-        recorded = f", H{own['dimension'].iloc[0]}" if len(own) else ", no run recorded"
-        label_axis(axis, f"{shape}: {TITLES.get(value, value)}{recorded}", "step", grid=True)
-        draw_bands(axis, table[table["shape"] == shape], value)
-        if value == "count" and own["expected"].notna().any():
-            axis.axhline(own["expected"].max(), color="black", linestyle="--", linewidth=0.8)
-        axis.set_ylim(bottom=0)
-        if len(own):
-            axis.legend(fontsize=7, ncols=2)
+    groups, window = arm_groups(in_order(table["condition"].unique())), ramp_window(collected)
+    columns, blocks = min(columns, len(shapes)), -(-len(shapes) // columns)
+    height = 2.1 if columns < 3 else 1.75
+    figure, axes = new_figure(blocks * len(groups), columns, PAGE / max(columns, 2), height)
+    ramp, true, many = None, None, len(groups) > 1
+    for block in range(blocks):
+        for place, (words, arms) in enumerate(groups):
+            line = axes[block * len(groups) + place]
+            for number, axis in enumerate(line, block * columns):
+                if number >= len(shapes):
+                    axis.set_axis_off()
+                    continue
+                own = runs[runs["shape"] == shapes[number]]
+                if not len(own):
+                    axis.set_axis_off()
+                    axis.set_title(f"{shapes[number]}: no run recorded")
+                    continue
+                dimension = f"{shapes[number]}, H{own['dimension'].iloc[0]}"
+                label_axis(axis, f"{dimension}: {words}" if many else dimension)
+                shown = table[(table["shape"] == shapes[number]) & table["condition"].isin(arms)]
+                draw_bands(axis, shown, value, LIFT if value == "count" else 0.0)
+                if value == "count" and own["expected"].notna().any():
+                    true = mark_value(axis, own["expected"].max())
+                if window is not None:
+                    ramp = mark_window(axis, window)
+                axis.set_ylim(bottom=0)
+                if value == "count":
+                    axis.set_ylim(top=axis.get_ylim()[1] + 0.4)
+                    axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+    label_outer(axes, "step", WORDS.get(value, value))
+    extra = []
+    for handle, label in ((true, "expected"), (ramp, "λ ramps up")):
+        if handle is not None:
+            handle.set_label(label)
+            extra.append(handle)
+    legend_below(figure, 6 if columns > 1 else 4, extra)
     return figure
 
 

@@ -1,0 +1,1 @@
+"""Photographs → COLMAP scene, by structure from motion (pycolmap, the extra `photos`)."""

@@ -1,0 +1,285 @@
+"""Notebook 16: what hurts a statement in words: lies, and what the audit says of them; real scenes' troubles.
+
+A lie differs from what dense samples show. "Too many loops" says more than there are, "too few" fewer. The
+audit's margins are lifetimes of the longest bar beyond the stated ones, in floors of the live cloud, at the
+first refresh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import pandas as pd
+
+from paper_artifact.catalogue import shape_row, tag_of
+from paper_artifact.report.kit import frames
+from paper_artifact.report.kit.records import Collected
+from paper_artifact.report.kit.text import NOT_RECORDED, short
+from paper_artifact.report.words import DEVISED, WORDS, judged
+from paper_artifact.study.verdict import BASELINE, LOSS
+from paper_artifact.topology.statement import NAMES, SURPLUS
+
+THRESHOLDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # floors: where the audit might warn
+HARMFUL, BROKEN = 1.15, 1.5  # tail over the truthful one's beyond which a lie counts as harmful, as broken
+AS_IT_IS = "clean, 48 views"
+FEWEST = "views=10"
+
+
+def truth(shape: str) -> tuple[int, ...]:
+    """Return the Betti numbers that dense samples of a shape of the study show."""
+    row = shape_row(shape)
+    return (row.features[0] + 1, *row.features[1:])
+
+
+def kinds(shape: str, said: tuple[int, ...]) -> list[str]:
+    """Return what is wrong with the words: "too many loops", "too few voids"; empty for the truth."""
+    pairs = zip(NAMES, said, truth(shape), strict=True)
+    return [
+        f"too {'many' if more > there else 'few'} {name[1]}" for name, more, there in pairs if more != there
+    ]
+
+
+def lie_table(lies: Collected, truthful: Collected) -> pd.DataFrame:
+    """Return a row per lie and design, with its kind: tail, over that of the true words (same shape, design
+    and seed), over C0's, bars of all dimensions at the end, Chamfer over the true words', and whether the
+    audit warned before the loss set in.
+
+    truthful: has T1, T2 and C0 of the same shapes.
+    """
+    rows = {}
+    for shape, arm, seed in lies.wanted:
+        design, found = tag_of(arm), lies.of(shape, arm, seed)
+        said = _said(arm)
+        row = {"kind": ", ".join(kinds(shape, said)), "design": design}
+        if not found:
+            rows[shape, _text(said), design] = row | {"tail": NOT_RECORDED}
+            continue
+        tails = found[0]["tails"]
+        own = tails["bottleneck"][found[0]["mesh"]["dimension"]]
+        true, base = (_tails(truthful, shape, name, seed) for name in (design, BASELINE))
+        rows[shape, _text(said), design] = row | {
+            "tail": short(own),
+            "÷ true words'": _ratio(own, true, "tail"),
+            "÷ C0's": _ratio(own, base, "tail"),
+            "bars": ",".join(map(str, tails["counts"])),
+            "Chamfer ÷ true words'": _ratio(tails["chamfer"], true, "chamfer"),
+            "the audit": "; ".join(filter(None, (_count(found[0], "warnings"), _count(found[0], "notes"))))
+            or "—",
+        }
+    table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
+    table.index = pd.MultiIndex.from_tuples(table.index, names=["shape", "said", ""])
+    return table.drop(columns="design")
+
+
+def lie_text(lies: Collected, truthful: Collected) -> str:
+    """Return per kind of lie how many runs it harmed (tail beyond HARMFUL times the true words'), how many it
+    broke (BROKEN), the worst, and how many of both the audit had warned of."""
+    lines = []
+    for kind, runs in sorted(_lie_groups(lies, truthful).items()):
+        harmed = [warned for ratio, warned in runs if ratio > HARMFUL]
+        worst = max(ratio for ratio, _ in runs)
+        lines.append(
+            f"{kind}: {len(harmed)} of {len(runs)} runs harmed ({sum(r > BROKEN for r, _ in runs)} beyond "
+            f"{BROKEN} times the true words' tail, worst {worst:.1f}); warned of {sum(harmed)} of these, "
+            f"and of {sum(warned for _, warned in runs)} in all"
+        )
+    return "\n".join(lines) or f"lies and true words: {NOT_RECORDED}"
+
+
+def _lie_groups(lies: Collected, truthful: Collected) -> dict[str, list[tuple[float, bool]]]:
+    """Return {kind of lie: [(tail over the true words', whether the audit warned)]}."""
+    groups: dict[str, list[tuple[float, bool]]] = {}
+    for shape, arm, seed in lies.wanted:
+        found, true = lies.of(shape, arm, seed), _tails(truthful, shape, tag_of(arm), seed)
+        if not found or true is None:
+            continue
+        ratio = found[0]["tails"]["bottleneck"][found[0]["mesh"]["dimension"]] / true["tail"]
+        for kind in kinds(shape, _said(arm)):
+            groups.setdefault(kind, []).append((ratio, bool(_remarks(found[0], "warnings"))))
+    return groups
+
+
+def threshold_table(lies: Collected, truthful: Collected) -> pd.DataFrame:
+    """Return, per threshold in floors, how many runs with true words the audit would warn of (false alarms),
+    and how many with too few classes in some dimension and with too many; and in the last rows the largest
+    margin of each group, and the smallest of those with too few."""
+    groups: dict[str, list[float]] = {"true words": [], "too few": [], "too many": []}
+    for record in (*truthful.records, *lies.records):
+        arm, shape = record["config"]["condition"], record["config"]["shape"]
+        margins = dict(surplus_margins(record)) if tag_of(arm) in WORDS else {}
+        if not margins:
+            continue
+        wrong = kinds(shape, tuple(record["config"]["loss"]["betti"]))
+        name = (
+            "true words" if not wrong else "too few" if any("few" in each for each in wrong) else "too many"
+        )
+        groups[name].append(max(margins.values()))
+    rows = {
+        f"warned beyond {threshold:g} floors": {
+            name: f"{sum(value > threshold for value in values)} of {len(values)}"
+            for name, values in groups.items()
+        }
+        for threshold in THRESHOLDS
+    }
+    rows["longest surplus bar"] = {
+        name: f"{max(values):.2f}" if values else "" for name, values in groups.items()
+    }
+    rows["shortest"] = {name: f"{min(values):.2f}" if values else "" for name, values in groups.items()}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(f"threshold (the audit's is {SURPLUS:g})")
+
+
+def surplus_margins(record: Mapping) -> Iterator[tuple[int, float]]:
+    """Yield (dimension, floors of the longest bar beyond the stated ones) at the first refresh."""
+    first = next((each for each in record.get("topology") or () if each["event"] == "refresh"), None)
+    for dimension, report in (first or {"dimensions": {}})["dimensions"].items():
+        if len(report["margins"]) > report["wanted"]:
+            yield int(dimension), report["margins"][report["wanted"]]
+
+
+def realism_table(realism: Collected, clean: Collected, shape: str) -> pd.DataFrame:
+    """Return a row per trouble (the clean scene first) for one shape: the tails of C0, C1, T1, T2 of seed 0,
+    with C0 of that trouble over them; bars in the judged dimension; Chamfer over C0's."""
+    rows: dict[str, dict] = {}
+    for trouble, arms in _troubles(realism, clean, shape).items():
+        base, row = arms.get(BASELINE), {}
+        for arm in (BASELINE, LOSS, *WORDS):
+            own = arms.get(arm)
+            if own is None:
+                row[arm] = NOT_RECORDED
+                continue
+            gain = "" if arm == BASELINE or base is None else f" ({base['tail'] / own['tail']:.1f}×)"
+            row[arm] = f"{short(own['tail'])}{gain}"
+        row["bars"] = "/".join("?" if arm not in arms else str(arms[arm]["count"]) for arm in row)
+        row["Chamfer %"] = "/".join(
+            "?" if arm not in arms else f"{100 * arms[arm]['chamfer']:.2f}"
+            for arm in (BASELINE, LOSS, *WORDS)
+        )
+        rows[trouble] = row
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(f"{shape}: trouble")
+
+
+def realism_text(realism: Collected, clean: Collected) -> str:
+    """Return per design where it breaks: the troubles under which its tail is no better than C0's, or worse
+    than BROKEN times its own in the clean scene, per shape."""
+    lines = []
+    for arm in (LOSS, *WORDS):
+        said = []
+        for shape in frames.shapes(realism):
+            troubles = _troubles(realism, clean, shape)
+            own = {name: arms[arm] for name, arms in troubles.items() if arm in arms and BASELINE in arms}
+            best = own.pop(AS_IT_IS, None)
+            if not own or best is None:
+                said.append(f"{shape} {NOT_RECORDED}")
+                continue
+            useless = [name for name in own if own[name]["tail"] >= troubles[name][BASELINE]["tail"]]
+            worse = [
+                name for name in own if own[name]["tail"] > BROKEN * best["tail"] and name not in useless
+            ]
+            said.append(
+                f"{shape}: no better than C0 under {'; '.join(useless) or 'none'}, "
+                f"better but beyond {BROKEN} times its clean tail under {'; '.join(worse) or 'none'} "
+                f"(of {len(own)})"
+            )
+        lines.append(f"{arm}: {'. '.join(said)}")
+    return "\n".join(lines)
+
+
+def advice(runs: Collected, lies: Collected, realism: Collected) -> list[str]:
+    """Return the summary in five lines: which design to use when, and what remains unproven. Every number is
+    counted from the runs; without them a line says so."""
+    test = {arm: _counted(runs, arm, devised=False) for arm in (LOSS, *WORDS)}
+    devised = {arm: _counted(runs, arm, devised=True) for arm in (LOSS, *WORDS)}
+    many, few = (_harmed(lies, runs, word) for word in ("many", "few"))
+    if many is None or few is None:
+        doubt = f"Lies: {NOT_RECORDED}"
+    else:
+        doubt = "In doubt say more, not fewer" if many[0] * few[1] < few[0] * many[1] else "No side is safe"
+        doubt += f": too many classes harmed {many[0]} of {many[1]} runs, too few {few[0]} of {few[1]}"
+    return [
+        f"1. With a ground truth (a study, a regression test): C1; it passes the rule on {test[LOSS]}.",
+        f"2. With words alone: T1 passes on {test['T1']}, T2 on {test['T2']}.",
+        "3. Many small loops: the denser M that `--loss samples=auto` finds, then T2; on the shapes it was "
+        f"devised on, post hoc, T2 passes on {devised['T2']}, T1 on {devised['T1']}, C1 on {devised[LOSS]}.",
+        f"4. {doubt}; --strict stops where the images show a class that the words deny.",
+        f"5. Unproven: real photographs, and what no view shows ({_views(realism, runs)}); gaps of a "
+        "cloud read as loops.",
+    ]
+
+
+def _counted(runs: Collected, arm: str, *, devised: bool) -> str:
+    own = [
+        each
+        for shape, each in judged(runs, arm).items()
+        if arm in each.arms and (shape in DEVISED) == devised
+    ]
+    return f"{sum(each.passed for each in own)} of {len(own)} shapes" if own else f"({arm} {NOT_RECORDED})"
+
+
+def _harmed(lies: Collected, truthful: Collected, word: str) -> tuple[int, int] | None:
+    """Return (harmed runs, runs) of the lies of a kind with that word, None without any."""
+    groups = _lie_groups(lies, truthful).items()
+    ratios = [each[0] for kind, group in groups if word in kind for each in group]
+    return (sum(ratio > HARMFUL for ratio in ratios), len(ratios)) if ratios else None
+
+
+def _views(realism: Collected, clean: Collected) -> str:
+    """Return, for the fewest views, in how many of the runs with words the tail is below C0's."""
+    found = [
+        arms[arm]["tail"] < arms[BASELINE]["tail"]
+        for shape in frames.shapes(realism)
+        for trouble, arms in _troubles(realism, clean, shape).items()
+        if trouble == FEWEST and BASELINE in arms
+        for arm in WORDS
+        if arm in arms
+    ]
+    return (
+        f"with {FEWEST} words beat C0 in {sum(found)} of {len(found)} runs" if found else f"({NOT_RECORDED})"
+    )
+
+
+def _troubles(realism: Collected, clean: Collected, shape: str) -> dict[str, dict[str, dict]]:
+    """Return {trouble: {condition: its row of `frames.runs`}} of seed 0, the clean scene first."""
+    found: dict[str, dict[str, dict]] = {AS_IT_IS: {}}
+    for shaped, arm, _ in realism.wanted:
+        if shaped == shape:
+            found.setdefault(arm.partition(", ")[2], {})
+    for runs in (clean, realism):
+        for row in frames.runs(runs).query("shape == @shape and seed == 0").to_dict("records"):
+            trouble = row["condition"].partition(", ")[2] or AS_IT_IS
+            if trouble in found:
+                found[trouble][tag_of(row["condition"])] = row
+    return found
+
+
+def _tails(runs: Collected, shape: str, arm: str, seed: int) -> dict | None:
+    """Return tail and Chamfer of one run, None where it is not recorded."""
+    found = runs.of(shape, arm, seed)
+    if not found:
+        return None
+    tails = found[0]["tails"]
+    return {"tail": tails["bottleneck"][found[0]["mesh"]["dimension"]], "chamfer": tails["chamfer"]}
+
+
+def _ratio(value: float, other: dict | None, name: str) -> str:
+    return "" if other is None else f"{value / other[name]:.2f}"
+
+
+def _said(arm: str) -> tuple[int, ...]:
+    """Return the words of an arm "T1, betti=(1, 2, 1)"."""
+    numbers = arm.partition("betti=(")[2].partition(")")[0]
+    return tuple(int(each) for each in numbers.split(","))
+
+
+def _text(said: tuple[int, ...]) -> str:
+    return ",".join(map(str, said))
+
+
+def _remarks(record: Mapping, kind: str) -> list[str]:
+    audits = [each for each in record.get("topology") or () if each["event"] == "audit"]
+    return [each for audit in audits for each in audit.get(kind, ())]
+
+
+def _count(record: Mapping, kind: str) -> str:
+    word = {"warnings": "warned", "notes": "not seen yet"}[kind]
+    dims = [each.partition(";")[0].removeprefix("you said ") for each in _remarks(record, kind)]
+    return f"{word}: {', '.join(dims)}" if dims else ""

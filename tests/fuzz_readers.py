@@ -1,0 +1,388 @@
+"""Every reader on mutated files: `python -m tests.fuzz_readers 2000`.
+
+A mutated file may be read, or refused by an InputError of one line that names it. Anything else is a fault:
+another exception, a crash, more than SECONDS of CPU for one file, more than 2 GiB beyond what the process had
+before. Files are read in a child process, which a fault may end. File number i of a seed is always the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import hashlib
+import io
+import json
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY
+from paper_artifact.randomness import stream
+
+SECONDS = 10  # of CPU, for one file that is read in milliseconds
+MEMORY = 2 << 30  # bytes
+Draws = np.random.Generator
+Mutation = Callable[[bytes, Draws], bytes]
+
+ODD_NUMBERS = [0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1]
+ODD_WORDS = ["0", "-1", "1e999", "-1e999", "nan", "inf", "1e300", "1e-320", "1e5000", "4294967296", "0x10"]
+ODD_WORDS += ["9223372036854775808", "9" * 5000, "x", "/", "..", "é", "\0", "", "../../x.png", "/etc/passwd"]
+ODD_VALUES: list[Any] = [None, True, -1, 0, 0.5, 1e308, 2**40, 10**400, "", "x", "../../x", [], {}, [[]]]
+ODD_VALUES += [{"#same": 0, "#count": 2**40}, {"#same": {"#same": 0, "#count": 10**6}, "#count": 10**6}]
+
+
+def mutate_bytes(data: bytes, draws: Draws) -> bytes:
+    """Return `data` with one to three changes: bits, bytes, numbers, cut, repeated, or swapped pieces."""
+    for _ in range(draws.integers(1, 4)):
+        place, length = (int(draws.integers(0, len(data) + 1)) for _ in range(2))
+        end = place + min(length, int(draws.integers(1, 64)))
+        match draws.integers(7):
+            case 0:
+                bit = 1 << int(draws.integers(8))
+                data = (
+                    data[:place] + bytes(byte ^ bit for byte in data[place : place + 1]) + data[place + 1 :]
+                )
+            case 1:
+                data = data[:place] + draws.bytes(end - place) + data[end:]
+            case 2:
+                number = ODD_NUMBERS[draws.integers(len(ODD_NUMBERS))]
+                width = int(draws.choice([1, 2, 4, 8]))
+                data = data[:place] + number.to_bytes(8, "little")[:width] + data[place + width :]
+            case 3:
+                data = data[:place]
+            case 4:
+                data = data[:place] + data[end:]
+            case 5:
+                data = data[:end] + data[place:]
+            case 6:
+                data = data[:place] + bytes(end - place) + data[end:]
+    return data
+
+
+def mutate_words(data: bytes, draws: Draws) -> bytes:
+    """Return a text with one to three of its words replaced by odd ones, or lines left out."""
+    lines = [line.split(" ") for line in data.decode("latin-1").split("\n")]
+    for _ in range(draws.integers(1, 4)):
+        line = lines[draws.integers(len(lines))]
+        line[draws.integers(len(line))] = ODD_WORDS[draws.integers(len(ODD_WORDS))]
+        if draws.integers(6) == 0 and len(lines) > 1:
+            lines.pop(int(draws.integers(len(lines))))
+    return "\n".join(" ".join(line) for line in lines).encode("utf-8")
+
+
+def mutate_json(data: bytes, draws: Draws) -> bytes:
+    """Return a JSON text with one to three of its values replaced, left out or nested without end."""
+    if draws.integers(40) == 0:
+        return b"[" * 100_000
+    value = [json.loads(data)]
+    for _ in range(draws.integers(1, 4)):
+        holder: Any = value
+        while True:
+            keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
+            key = keys[draws.integers(len(keys))]
+            inner = holder[key]
+            if not (isinstance(inner, (dict, list)) and inner) or draws.integers(4) == 0:
+                break
+            holder = inner
+        if draws.integers(5) == 0 and holder is not value:
+            del holder[key]
+        else:
+            holder[key] = copy.deepcopy(ODD_VALUES[draws.integers(len(ODD_VALUES))])
+    return json.dumps(value[0]).encode().replace(b"1e+308", b"1e999")
+
+
+def mutate_zip(data: bytes, draws: Draws) -> bytes:
+    """Return a zip archive with right checksums, in which one member's bytes were mutated."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = list(members)[draws.integers(len(members))]
+    head = 128 if draws.integers(2) else len(members[name])  # an array's header, or anywhere
+    members[name] = mutate_bytes(members[name][:head], draws) + members[name][head:]
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for each, content in members.items():
+            archive.writestr(each, content)
+    return packed.getvalue()
+
+
+def mutate_png(data: bytes, draws: Draws) -> bytes:
+    """Return a PNG in which one chunk was mutated and has a right checksum."""
+    chunks, place = [], 8
+    while place < len(data):
+        length = int.from_bytes(data[place : place + 4], "big")
+        chunks.append([data[place + 4 : place + 8], data[place + 8 : place + 8 + length]])
+        place += 12 + length
+    chunk = chunks[draws.integers(len(chunks))]
+    chunk[1] = mutate_bytes(chunk[1], draws)
+    packed = (struct.pack(">I", len(b)) + a + b + struct.pack(">I", zlib.crc32(a + b)) for a, b in chunks)
+    return data[:8] + b"".join(packed)
+
+
+def mutate_glb(data: bytes, draws: Draws) -> bytes:
+    """Return a GLB whose JSON part was mutated, its lengths being right."""
+    length = int.from_bytes(data[12:16], "little")
+    text = mutate_json(data[20 : 20 + length], draws)
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    return data[:8] + struct.pack("<III", 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+def mutate_sealed(data: bytes, draws: Draws) -> bytes:
+    """Return a checkpoint whose content was mutated and has a right digest."""
+    head, _, content = data.partition(b"\n")
+    content = mutate_zip(content, draws)
+    return head[:-64] + hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A sound file and its reader."""
+
+    file: Path  # the one to mutate
+    read: Callable[[], object]
+    mutations: tuple[Mutation, ...]
+
+
+def samples(folder: Path) -> dict[str, Sample]:
+    """Write the sound files below `folder` and return them by kind."""
+    return _scenes(folder) | _meshes(folder) | _texts(folder) | _soups(folder)
+
+
+def _scenes(folder: Path) -> dict[str, Sample]:
+    from paper_artifact.files import write_json, write_npz
+    from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, write_model
+    from paper_artifact.scene.load import load_ground_truth, load_scene
+
+    draws = stream(0, "fuzz scene")
+    names = ["a.png", "b.jpg", "c.tif", "d.png"]
+    model = Model(
+        {1: Intrinsics("PINHOLE", 24, 16, (20.0, 21.0, 12.0, 8.0))},
+        {i + 1: Pose(name, 1, (1.0, 0.0, 0.1 * i, 0.0), (0.0, 0.1, 3.0)) for i, name in enumerate(names)},
+        np.arange(1, 9),
+        draws.normal(size=(8, 3)),
+        draws.integers(0, 256, (8, 3)).astype(np.uint8),
+        np.ones(8),
+    )
+    found = {}
+    for kind, words in (("bin", False), ("txt", True)):
+        place = folder / kind
+        write_model(model, place, binary=not words)
+        for name in ("cameras", "images", "points3D"):
+            mutations = (mutate_bytes, mutate_words) if words else (mutate_bytes,)
+            file = place / f"{name}.{kind}"
+            found[f"COLMAP {file.name}"] = Sample(file, partial(read_model, place), mutations)
+    scene = folder / "scene"
+    write_model(model, scene / "sparse" / "0")
+    (scene / "images").mkdir()
+    for name in names:
+        pixels = draws.integers(0, 256, (16, 24, 4 if name[0] == "a" else 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(scene / "images" / name)
+        png = (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)
+        found[f"image {name}"] = Sample(scene / "images" / name, partial(load_scene, scene), png)
+    write_json(scene / "scene.json", {"background": [1.0, 0.5, 0.0], "radius": 1.0, "key": "x"})
+    found["scene.json"] = Sample(
+        scene / "scene.json", partial(load_scene, scene), (mutate_bytes, mutate_json)
+    )
+    ball = trimesh.creation.icosphere(1)
+    truth = {"vertices": ball.vertices, "faces": ball.faces, "name": np.array("ball"), "betti": np.arange(3)}
+    write_npz(scene / "ground_truth.npz", truth, compressed=False)
+    found["ground truth"] = Sample(
+        scene / "ground_truth.npz", partial(load_ground_truth, scene), (mutate_bytes, mutate_zip)
+    )
+    return found
+
+
+def _meshes(folder: Path) -> dict[str, Sample]:
+    from paper_artifact.mesh import load_mesh
+
+    found = {}
+    textured = trimesh.creation.icosphere(1)
+    for kind, ending in (
+        ("ply", "ply"),
+        ("ascii", "ply"),
+        ("obj", "obj"),
+        ("off", "off"),
+        ("stl", "stl"),
+        ("glb", "glb"),
+    ):
+        file = folder / f"{kind}.{ending}"
+        textured.export(file, **({"encoding": "ascii"} if kind == "ascii" else {}))
+        words = {"ascii": mutate_words, "obj": mutate_words, "off": mutate_words, "glb": mutate_glb}
+        mutations = (mutate_bytes, words[kind]) if kind in words else (mutate_bytes,)
+        found[f"mesh {file.name}"] = Sample(file, partial(load_mesh, file), mutations)
+    return found
+
+
+def _texts(folder: Path) -> dict[str, Sample]:
+    from paper_artifact.files import write_json
+    from paper_artifact.record.store import make_record, read_record, write_record
+    from paper_artifact.report.group_wave import plan
+    from paper_artifact.topology.bundle import Bundle, load_bundle
+    from tests.tiny_run import tiny_config
+
+    log = [{"event": "refresh", "step": step, "bars": [[0.1 * step, 0.5]]} for step in range(1, 30)]
+    dumps = [{"step": step, "counts": [0, 0, 1], "bottleneck": [0.1, 0.2, 0.3]} for step in (20, 30, 60)]
+    config = tiny_config(condition="C1")
+    record = write_record(make_record(config, dumps, {}, {"photometric": 1.0}, topology=log), folder / "runs")
+    bars = (np.zeros((0, 2)), np.array([[0.1, 0.4], [0.1, 0.3]]), np.zeros((0, 2)))
+    reasons = ("none", "two", "none")
+    bundle = Bundle(bars, (1,), reasons, 512, 0, 0.05, 6.0, 2.0, "torus", "sha256:0")
+    bundle.save(folder / "bundle.json")
+    write_json(folder / "plan.json", {"pool": ["a", "b"], "members": {"bob": {"samples": 2048}}})
+    texts = (mutate_bytes, mutate_json, mutate_json)
+    return {
+        "record": Sample(record, partial(read_record, record), texts),
+        "bundle": Sample(folder / "bundle.json", partial(load_bundle, folder / "bundle.json"), texts),
+        "plan": Sample(folder / "plan.json", partial(plan, folder / "plan.json"), texts),
+    }
+
+
+def _soups(folder: Path) -> dict[str, Sample]:
+    from types import SimpleNamespace
+
+    import torch
+
+    from paper_artifact.soup.adam import soup_optimiser
+    from paper_artifact.soup.initialise import initial_soup
+    from paper_artifact.soup.state import load_soup, save_soup
+    from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
+    from paper_artifact.train.state import TrainState
+    from paper_artifact.train.term import NoTerm
+    from tests.tiny_run import tiny_config
+
+    torch.set_num_threads(1)
+    soup = initial_soup(stream(0, "fuzz soup").normal(size=(40, 3)).astype(np.float32), 12, 0)
+    save_soup(folder / "soup.npz", soup)
+    backend: Any = SimpleNamespace(to_host=lambda each: each, to_device=lambda each: each)
+    state, file = TrainState(10, soup, soup_optimiser(soup)), folder / "checkpoint.pt"
+    write_checkpoint(file, tiny_config(), state, NoTerm(), backend)
+
+    def resume() -> object:
+        return resumed_state(file, tiny_config(), NoTerm(), backend)
+
+    return {
+        "soup": Sample(
+            folder / "soup.npz", partial(load_soup, folder / "soup.npz"), (mutate_bytes, mutate_zip)
+        ),
+        "checkpoint": Sample(file, resume, (mutate_bytes, mutate_sealed)),
+    }
+
+
+def outcome(sample: Sample) -> str:
+    """Return "read", "refused", or what is wrong."""
+    try:
+        sample.read()
+    except InputError as error:
+        causes = [error.__cause__, getattr(error.__cause__, "__cause__", None)]
+        if any(isinstance(cause, MemoryError) for cause in causes):
+            return "more than 2 GiB"
+        text, file = str(error), sample.file
+        named = any(name in text for name in (file.name, str(file.parent), file.parent.parent.name))
+        return "refused" if named and "\n" not in text else f"not one line that names a file: {text!r}"
+    except MemoryError:
+        return "more than 2 GiB"
+    except Exception as error:
+        frame = error.__traceback__
+        while frame is not None and frame.tb_next is not None:
+            frame = frame.tb_next
+        where = f"{Path(frame.tb_frame.f_code.co_filename).name}:{frame.tb_lineno}" if frame else "?"
+        return f"{type(error).__name__} at {where}: {' '.join(str(error).split())[:100]}"
+    return "read"
+
+
+def child(first: int, last: int, seed: int) -> None:
+    """Read the files `first` to `last` - 1 of the seed.
+
+    Prints a line of JSON before each, with number, kind and null, and one behind it, with the outcome.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        known = samples(Path(folder))
+        for kind, sample in known.items():
+            assert outcome(sample) == "read", f"the sound {kind}: {outcome(sample)}"
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)  # ends the process, whatever code it is in
+        for index in range(first, last):
+            kind = list(known)[index % len(known)]
+            sample, draws = known[kind], stream(seed, "fuzz", index)
+            sound = sample.file.read_bytes()
+            mutation = sample.mutations[draws.integers(len(sample.mutations))]
+            sample.file.write_bytes(mutation(sound, draws))
+            print(json.dumps([index, f"{kind}, {mutation.__name__}", None]), flush=True)
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
+            result = outcome(sample)
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            print(json.dumps([index, f"{kind}, {mutation.__name__}", result]), flush=True)
+            sample.file.write_bytes(sound)
+
+
+def fuzz(count: int, seed: int = 0) -> dict[int, tuple[str, str]]:
+    """Return {file number: (kind and mutation, outcome)} of `count` mutated files."""
+    found: dict[int, tuple[str, str]] = {}
+    while len(found) < count:
+        command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz_readers", "--child", f"{len(found)}"]
+        command += [str(count), "--seed", str(seed)]
+        ended = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+        rows = [json.loads(line) for line in ended.stdout.splitlines()]
+        found |= {index: (kind, result) for index, kind, result in rows if result is not None}
+        if ended.returncode == 0:
+            break
+        if not rows or rows[-1][2] is not None:
+            raise RuntimeError(f"the child process failed: {ended.stderr[-2000:]}")
+        index, kind, _ = rows[-1]
+        hang = ended.returncode == -signal.SIGPROF
+        found[index] = (
+            kind,
+            f"more than {SECONDS} s" if hang else f"the process ended with {ended.returncode}",
+        )
+    return found
+
+
+def main() -> int:
+    """Print a table by kind, and every fault; return 1 when there is one."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "count", type=int, nargs="?", default=2000, help="mutated files (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="another one gives other files (default: %(default)s)"
+    )
+    parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.child is not None:
+        child(arguments.child, arguments.count, arguments.seed)
+        return 0
+    found = fuzz(arguments.count, arguments.seed)
+    table = Counter(
+        (kind.partition(",")[0], result if result in ("read", "refused") else "fault")
+        for kind, result in found.values()
+    )
+    for kind in sorted({kind for kind, _ in table}):
+        print(
+            f"{kind:24s}" + "".join(f"{table[kind, what]:6d} {what}" for what in ("read", "refused", "fault"))
+        )
+    faults = {index: each for index, each in found.items() if each[1] not in ("read", "refused")}
+    for index, (kind, result) in faults.items():
+        print(f"file {index} ({kind}): {result}")
+    print(f"{len(found)} mutated files, {len(faults)} faults")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,235 @@
+"""Files that somebody damaged or made with intent: every reader refuses them in one line that names the file.
+
+The command for many more of the first kind: `python -m tests.fuzz_readers 2000`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import LARGEST, inside, load_npz, write_npz
+from paper_artifact.mesh import load_mesh
+from paper_artifact.record.packing import unpack
+from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.images import MOST_PIXELS
+from paper_artifact.scene.load import load_ground_truth, load_scene
+from tests.fuzz_readers import fuzz
+
+
+def test_two_hundred_mutated_files_are_read_or_refused():
+    found = fuzz(200, seed=7)
+    assert len(found) == 200
+    assert [each for each in found.values() if each[1] not in ("read", "refused")] == []
+    assert {"read", "refused"} == {result for _, result in found.values()}
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """scene(names) writes a COLMAP scene with these image names; a.png and b.png are there."""
+
+    def write(names=("a.png", "b.png"), size=4):
+        poses = {i + 1: Pose(name, 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 3.0)) for i, name in enumerate(names)}
+        camera = Intrinsics("SIMPLE_PINHOLE", size, size, (4.0, 2.0, 2.0))
+        cloud = np.eye(5, 3)
+        rgb = np.zeros((5, 3), np.uint8)
+        folder = tmp_path / "scene"
+        write_model(Model({1: camera}, poses, np.arange(5), cloud, rgb, np.zeros(5)), folder / "sparse" / "0")
+        (folder / "images").mkdir()
+        for name in ("a.png", "b.png"):
+            Image.new("RGB", (4, 4)).save(folder / "images" / name)
+        Image.new("RGB", (4, 4)).save(tmp_path / "x.png")
+        return folder
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x.png", "/etc/x.png", "..\\..\\x.png", "c/../../../x.png", "./a.png", "c//x.png"]
+)
+def test_image_names_that_lead_out_of_the_scene_are_refused(name, scene):
+    with pytest.raises(InputError, match=r"images.bin: image .* lies outside of the scene; export"):
+        load_scene(scene(("a.png", name)))
+
+
+@pytest.mark.parametrize("link", ["images/b.png", "images", "sparse/0/points3D.bin", "sparse", "scene.json"])
+def test_symbolic_links_out_of_the_scene_are_refused(link, scene, tmp_path):
+    folder = scene()
+    (folder / "scene.json").write_text(json.dumps({"background": [1, 1, 1], "radius": 1}))
+    assert len(load_scene(folder).names) == 2
+    (tmp_path / "elsewhere").mkdir()
+    os.rename(folder / link, tmp_path / "elsewhere" / "file")
+    os.symlink(tmp_path / "elsewhere" / "file", folder / link)
+    with pytest.raises(InputError, match="lies outside of it; copy the file into the folder"):
+        load_scene(folder)
+
+
+def test_symbolic_links_that_stay_inside_are_followed_and_loops_are_refused(scene):
+    folder = scene(("a.png", "b.png", "c.png"))
+    os.symlink(folder / "images" / "a.png", folder / "images" / "c.png")
+    assert len(load_scene(folder).names) == 3
+    (folder / "images" / "c.png").unlink()
+    os.symlink(folder / "images" / "c.png", folder / "images" / "c.png")
+    with pytest.raises(InputError, match="c.png"):
+        load_scene(folder)
+    with pytest.raises(InputError, match="is no path"):
+        inside(folder, "a\0b")
+
+
+def png_of(width: int, height: int, mode: str = "RGB") -> bytes:
+    """A PNG whose header alone tells its size."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zipfile.crc32(name + data))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 6 if mode == "RGBA" else 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("side, words", [(20_000, "damaged or no image"), (12_000, "too many to be a photo")])
+def test_pictures_that_unpack_to_more_than_a_photograph_are_refused(side, words, scene):
+    folder = scene()
+    assert side**2 > MOST_PIXELS
+    (folder / "images" / "a.png").write_bytes(png_of(side, side))
+    with pytest.raises(InputError, match=rf"a.png .*{words}"):
+        load_scene(folder)
+
+
+def test_pictures_of_a_kind_that_starts_other_programs_are_not_opened(scene):
+    folder = scene()
+    (folder / "images" / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EOF\n")
+    with pytest.raises(InputError, match=r"a.png is damaged or no image"):
+        load_scene(folder)
+
+
+def test_archives_that_unpack_without_end_are_refused(tmp_path):
+    bomb = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("vertices.npy", bytes(1000))
+    data = bytearray(bomb.read_bytes())
+    place = data.rindex(b"PK\x01\x02") + 24  # the size that the directory gives
+    data[place : place + 4] = (LARGEST + 1).to_bytes(4, "little")
+    bomb.write_bytes(data)
+    with pytest.raises(ValueError, match=f"unpacks to {LARGEST + 1} bytes"):
+        load_npz(bomb)
+    bomb.rename(tmp_path / "bomb.zip")
+    with pytest.raises(InputError, match=r"bomb.zip .*unpacks to"):
+        load_mesh(tmp_path / "bomb.zip")
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_LZMA) as archive:  # its reader has no bound
+        archive.writestr("vertices.npy", bytes(1000))
+    with pytest.raises(ValueError, match="a method that is not read"):
+        load_npz(bomb)
+
+
+def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path):
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000, 3), }"
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr(
+            "a.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head) + 1) + head + b"\n" + bytes(48)
+        )
+    with pytest.raises(ValueError, match="cannot reshape"):
+        load_npz(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="pickled"):
+        load_npz(tmp_path / "a.npz")
+
+
+def test_arrays_come_back_as_they_were(tmp_path):
+    arrays = {
+        "a": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        "b": np.array("word"),
+        "c": np.zeros((0, 2)),
+    }
+    write_npz(tmp_path / "a.npz", arrays)
+    back = load_npz(tmp_path / "a.npz")
+    assert back.keys() == arrays.keys()
+    for name, array in arrays.items():
+        assert back[name].dtype == array.dtype and back[name].flags.writeable
+        np.testing.assert_array_equal(back[name], array)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (
+            lambda head: head["accessors"][1].pop("bufferView") and head["accessors"][1].update(count=10**10),
+            "names",
+        ),
+        (lambda head: head["accessors"][1].update(count=10**10), "damaged"),
+        (lambda head: head["bufferViews"][0].update(byteLength=10**10), "damaged"),
+        (lambda head: head["buffers"][0].update(uri="../../../../../../etc/passwd"), "damaged"),
+        (lambda head: head["nodes"][0].update(children=[0]), None),
+    ],
+)
+def test_models_that_declare_what_they_do_not_hold(change, words, tmp_path):
+    data = trimesh.creation.icosphere(1).export(file_type="glb")
+    length = int.from_bytes(data[12:16], "little")
+    head = json.loads(data[20 : 20 + length])
+    change(head)
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    file = tmp_path / "ball.glb"
+    total = 20 + len(text) + len(rest)
+    file.write_bytes(data[:8] + struct.pack("<III", total, len(text), 0x4E4F534A) + text + rest)
+    if words is None:
+        assert len(load_mesh(file).faces) == 80
+    else:
+        with pytest.raises(InputError, match=rf"ball.glb .*{words}"):
+            load_mesh(file)
+
+
+def test_a_model_with_more_instances_than_memory_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("paper_artifact.mesh.MOST_FACES", 1000)
+    scene, ball = trimesh.Scene(), trimesh.creation.icosphere(1)
+    for x in range(13):
+        scene.add_geometry(
+            ball, geom_name="ball", transform=trimesh.transformations.translation_matrix([x, 0, 0])
+        )
+    scene.export(tmp_path / "balls.glb")
+    with pytest.raises(InputError, match=r"balls.glb is damaged .*more than 1000 triangles"):
+        load_mesh(tmp_path / "balls.glb")
+
+
+def test_a_model_that_is_cut_off_asks_for_no_memory(tmp_path):
+    data = trimesh.creation.icosphere(1).export(file_type="glb")
+    place = data.index(b"BIN\0") - 4
+    (tmp_path / "ball.glb").write_bytes(data[:place] + b"\xff\xff\xff\xff" + data[place + 4 :])
+    with pytest.raises(InputError, match=r"ball.glb is damaged .*it ends before its byte"):
+        load_mesh(tmp_path / "ball.glb")
+
+
+def test_records_that_unpack_without_end_are_refused(monkeypatch):
+    monkeypatch.setattr("paper_artifact.record.packing.MOST", 20_000)
+    nested = {"#same": {"#same": {"#same": 0, "#count": 10**4}, "#count": 10**4}, "#count": 10**4}
+    for value in ({"#same": 0, "#count": 10**12}, nested):
+        with pytest.raises(ValueError, match="without end"):
+            unpack(value)
+
+
+@pytest.mark.parametrize("place", [0.02, 0.3, 0.5, 0.7, 0.98])
+def test_a_bit_that_flipped_in_the_ground_truth_is_refused(place, scene):
+    folder = scene()
+    ball = trimesh.creation.icosphere(1)
+    truth = {
+        "vertices": ball.vertices,
+        "faces": ball.faces,
+        "name": np.array("ball"),
+        "betti": np.array([1, 0, 1]),
+    }
+    file = folder / "ground_truth.npz"
+    write_npz(file, truth, compressed=False)
+    assert load_ground_truth(folder).betti == (1, 0, 1)
+    data = bytearray(file.read_bytes())
+    data[int(place * len(data))] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="ground_truth.npz is damaged"):
+        load_ground_truth(folder)

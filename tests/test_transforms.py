@@ -1,0 +1,141 @@
+"""NeRF-style cameras become the same cameras, and a cloud that hugs the object."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from paper_artifact.cli import main
+from paper_artifact.errors import InputError
+from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
+from paper_artifact.scene.ground_truth import render_ground_truth
+from paper_artifact.scene.load import load_scene
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.scene.transforms import TransformsConfig, read_transforms, transforms_scene
+
+VIEWS, SIZE = 14, 60
+
+
+@pytest.fixture(scope="module")
+def torus():
+    return make_shape("torus")
+
+
+@pytest.fixture(scope="module")
+def cameras(torus):
+    return fibonacci_cameras(torus, VIEWS, SIZE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, torus, cameras):
+    """RGBA views of a torus with a transforms.json, as NeRF's synthetic scenes have them."""
+    folder = tmp_path_factory.mktemp("nerf")
+    (folder / "train").mkdir()
+    frames = []
+    for index, camera in enumerate(cameras):
+        dark = render_ground_truth(torus, camera, np.zeros(3, np.float32))
+        light = render_ground_truth(torus, camera, np.ones(3, np.float32))
+        alpha = 1 - (light - dark).mean(2)
+        colour = dark / np.maximum(alpha, 1e-6)[..., None]
+        rgba = np.rint(255 * np.clip(np.dstack([colour, alpha]), 0, 1)).astype(np.uint8)
+        Image.fromarray(rgba).save(folder / "train" / f"r_{index}.png")
+        pose = np.eye(4)
+        pose[:3, :3] = camera.rotation.T @ np.diag([1.0, -1.0, -1.0])
+        pose[:3, 3] = camera.position
+        frames.append({"file_path": f"./train/r_{index}", "transform_matrix": pose.tolist()})
+    angle = 2 * np.arctan(SIZE / 2 / cameras[0].focal_x)
+    (folder / "transforms.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
+    return folder
+
+
+def changed(folder, **values):
+    file = folder / "changed.json"
+    file.write_text(json.dumps({**json.loads((folder / "transforms.json").read_text()), **values}))
+    return file
+
+
+def test_the_scene_has_the_cameras_the_images_and_a_cloud_on_the_object(folder, cameras, torus, tmp_path):
+    scene = load_scene(
+        transforms_scene(folder / "transforms.json", tmp_path / "s", TransformsConfig(points=3000))
+    )
+    expected = [world_to_clip(each, NEAR * scene.radius, FAR * scene.radius) for each in cameras]
+    assert np.allclose(scene.world_to_clip, expected, atol=2e-4)
+    for view, camera in enumerate(cameras):
+        truth = render_ground_truth(torus, camera, np.ones(3, np.float32))
+        assert np.abs(scene.colours(view) - truth).max() < 0.02
+    ring = np.hypot(np.hypot(scene.points[:, 0], scene.points[:, 1]) - 1.0, scene.points[:, 2])
+    tube = np.hypot(np.hypot(*torus.vertices[:, :2].T) - 1.0, torus.vertices[:, 2]).max()
+    assert len(scene.points) == 3000
+    assert 0.7 * tube < np.median(ring) < 1.35 * tube  # few views: the hull is a little larger
+    low, high = torus.vertices.min(0) - 0.2, torus.vertices.max(0) + 0.2
+    assert ((scene.points > low) & (scene.points < high)).all()
+
+
+def test_focal_lengths_centres_and_smaller_images(folder, cameras, tmp_path):
+    c = cameras[0]
+    file = changed(folder, fl_x=2 * c.focal_x, fl_y=2 * c.focal_y, cx=SIZE, cy=SIZE, w=2 * SIZE, h=2 * SIZE)
+    camera = read_transforms(file)[0][1]
+    assert np.allclose([camera.focal_x, camera.focal_y, camera.centre_x], [c.focal_x, c.focal_y, SIZE / 2])
+    config = TransformsConfig(size=30, points=50, cloud="random", views=6)
+    scene = load_scene(transforms_scene(file, tmp_path / "small", config))
+    assert scene.images.shape == (6, 3, 30, 30) and len(scene.points) == 50
+    assert np.allclose(scene.world_to_clip[0, 3], world_to_clip(c, 1, 2)[3], atol=1e-5)
+
+
+def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
+    words = [
+        "scene",
+        "--transforms",
+        str(folder / "transforms.json"),
+        "--out",
+        str(tmp_path / "s"),
+        "--quiet",
+    ]
+    assert main([*words, "--views", "7", "--points", "60"]) == 0
+    assert "7 views of at most 400 pixels (1 held out), 60 points (hull)" in capsys.readouterr().out
+    written = (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns
+    assert main([*words, "--views", "7", "--points", "60"]) == 0
+    assert (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns == written
+    assert main([*words, "--views", "8"]) == 1 and "holds a scene of other images" in capsys.readouterr().err
+    assert main([*words, "--supersample", "2"]) == 1 and "no meaning for images" in capsys.readouterr().err
+    assert main(["scene", "--shape", "torus", "--cloud", "hull", "--out", str(tmp_path / "t")]) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"k1": 0.1}, "undistort"),
+        ({"camera_angle_x": 0}, "neither camera_angle_x nor fl_x"),
+        ({"frames": []}, "0 frames"),
+        ({"frames": 3}, "damaged or no transforms.json"),
+        (
+            {"frames": [{"file_path": "gone", "transform_matrix": np.eye(4).tolist()}] * 2},
+            "gone, which is not there",
+        ),
+        ({"frames": [{"file_path": "train/r_0", "transform_matrix": [[0] * 4] * 4}] * 2}, "is no pose"),
+    ],
+)
+def test_bad_files(folder, tmp_path, values, message):
+    with pytest.raises(InputError, match=message):
+        transforms_scene(changed(folder, **values), tmp_path / "bad")
+    assert not (tmp_path / "bad").exists()
+
+
+def test_outlines_that_contradict_one_another_and_opaque_images(folder, tmp_path):
+    content = json.loads((folder / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        pose = np.array(frame["transform_matrix"])
+        pose[:3, 3] += (0, 0, 4.0 * index)  # wrong poses
+        frame["transform_matrix"] = pose.tolist()
+    with pytest.raises(InputError, match="leave no room"):
+        transforms_scene(changed(folder, frames=content["frames"]), tmp_path / "bad")
+    (tmp_path / "train").mkdir()
+    for index in range(VIEWS):
+        with Image.open(folder / "train" / f"r_{index}.png") as image:
+            image.convert("RGB").save(tmp_path / "train" / f"r_{index}.png")
+    (tmp_path / "transforms.json").write_text((folder / "transforms.json").read_text())
+    with pytest.raises(InputError, match="--cloud random"):
+        transforms_scene(tmp_path / "transforms.json", tmp_path / "bad")
