@@ -152,7 +152,7 @@ def test_a_ground_truth_that_cannot_be_had_is_said(sources, tmp_path, monkeypatc
         raise views.InputError("no mesh")
 
     monkeypatch.setattr(views, "surface", fail)
-    monkeypatch.setattr(views.frames, "shapes", lambda collected: ["bob"])
+    monkeypatch.setattr(views, "main_runs", lambda sources: collect([("bob", arm, 0) for arm in front.ARMS]))
     (view,) = views.write_views(sources, tmp_path)
     assert "ground truth is not shown: no mesh" in view.note and len(view.arms) == 3
 

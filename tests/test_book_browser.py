@@ -13,7 +13,9 @@ import pytest
 
 from paper_artifact.book import views
 from paper_artifact.book.build import build
+from paper_artifact.book.front import ARMS
 from paper_artifact.book.sources import Sources
+from paper_artifact.report.kit.records import collect
 from paper_artifact.scene.shapes import make_shape
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -47,7 +49,7 @@ async function look(file) {
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
 def test_every_page_fits_a_telephone_and_says_nothing_on_the_console(tmp_path, monkeypatch):
     monkeypatch.setattr(views, "surface", lambda shape: make_shape("cube"))
-    monkeypatch.setattr(views.frames, "shapes", lambda collected: ["bob"])
+    monkeypatch.setattr(views, "main_runs", lambda sources: collect([("bob", arm, 0) for arm in ARMS]))
     book = tmp_path / "book"
     build(book, Sources.read(executed=Path("/nowhere")))
     files = sorted(str(path.relative_to(book)) for path in book.rglob("*.html"))

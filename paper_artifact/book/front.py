@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import html
-import io
 import json
 import re
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from paper_artifact.book.sources import Sources
 from paper_artifact.catalogue import CONTROLS, colour_of, shape_row
-from paper_artifact.export.figures import new_figure
+from paper_artifact.export.figures import new_figure, svg
 from paper_artifact.files import REPOSITORY, write_text
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.records import Collected
@@ -172,11 +170,9 @@ def _draw_arm(axis: Axes, arm: dict[str, Any], y: float, colour: str) -> None:
 def picture_svg(sources: Sources) -> str:
     """Return the picture as SVG text that also holds `numbers`, as JSON in its description; the same text for
     the same records."""
-    shown, data = numbers(sources), io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "paper_artifact", "svg.fonttype": "path"}):
-        picture(shown).savefig(data, format="svg", metadata={"Date": None})
+    shown = numbers(sources)
     text = json.dumps(shown, separators=(",", ":"), ensure_ascii=True)
-    head, tail = data.getvalue().split("<metadata>", 1)
+    head, tail = svg(picture(shown)).decode("utf-8").split("<metadata>", 1)
     return f"{head}<title>Tails of C0, C1 and C2</title><desc>{html.escape(text)}</desc>\n <metadata>{tail}"
 
 

@@ -90,15 +90,21 @@ def side(value: float, sd: float, other: float, other_sd: float) -> int:
     return 0 if abs(value - other) <= apart else 1 if value > other else -1
 
 
-def sides(collected: Collected, tables: Sequence[str], against: Sequence[tuple[str, str]]) -> list[Pair]:
+def sides(
+    collected: Collected,
+    tables: Sequence[str],
+    against: Sequence[tuple[str, str]],
+    variation: float | None = None,
+) -> list[Pair]:
     """Return for every shape of the records and every (arm, other arm) for which the paper prints means in
     these tables whether the arm's tail lies below, level with or above the other's (`side`), in ours and in
     the paper. Shapes and conditions are those of the records; B0 of the paper is our C0. Where the paper
-    prints no standard deviation, ours of that arm stands in."""
+    prints no standard deviation, `variation` of the mean stands in, or, where that is None, ours."""
     ours = frames.arms(collected).set_index(frames.ARM)
     paper = frames.paper_arms("tail_bottleneck", *tables)
     paper = paper.assign(condition=paper["condition"].replace("B0", "C0")).set_index(frames.ARM)
-    paper["spread"] = paper["sd"].fillna(ours["sd"])
+    unprinted = ours["sd"] if variation is None else variation * paper["value"]
+    paper["spread"] = paper["sd"].fillna(unprinted)
     ours["spread"] = ours["sd"]
     pairs = []
     for shape in frames.shapes(collected):

@@ -84,7 +84,9 @@ def _number(text: str) -> float:
 def table_s2(sources: Sources) -> list[Pair]:
     """B1 to B5 against B0, spread against concentrated, topological against random."""
     arms = [(arm, "C0") for arm in ("B1", "B2", "B3", "B4", "B5")]
-    return sides(sources.study("allocation"), ("S2",), (*arms, ("B4", "B2"), ("B2", "B3"), ("B4", "B5")))
+    against = (*arms, ("B4", "B2"), ("B2", "B3"), ("B4", "B5"))
+    variation = published("plans").set_index("quantity")["value"]["tail_cv_percent_high"] / 100
+    return sides(sources.study("allocation"), ("S2",), against, variation)
 
 
 def _staircase(table: pd.DataFrame, prefix: str = "") -> list[Pair]:
