@@ -48,11 +48,11 @@ class TopologyTerm:
     """One condition's additive term during a run of `steps` steps.
 
     lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
-    "refresh"), one for λ ("event": "lambda"), one per plan at which the calibration was a no-op ("event":
-    "no-op", "reason"), and for a statement in words its audit at the first refresh, before any gradient
-    ("event": "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a Statement
-    for the kind "betti", else a bundle. tell: is called with each warning and note; strict: a warning is an
-    InputError. Raises InputError when the target's density is not the loss's.
+    "refresh"), one for λ ("event": "lambda"), one per plan and reason at which no weight could be set
+    ("event": "no-op", "reason"), and for a statement in words its audit at the first refresh, before any
+    gradient ("event": "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a
+    Statement for the kind "betti", else a bundle. tell: is called with each warning and note; strict: a
+    warning is an InputError. Raises InputError when the target's density is not the loss's.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class TopologyTerm:
         peak = peak_weight(self.config.rho, photo_norm, topo_norm)
         if peak is None:
             reason = no_weight(self.config.rho, photo_norm, topo_norm)
-            if self.log[-1]["event"] != "no-op":
+            if self.log[-1].get("reason") != reason:  # once a plan, unless there is another reason
                 self.log.append({"event": "no-op", "step": step, "reason": reason})
         else:
             norms = {"rho": self.config.rho, "photo_norm": photo_norm, "topo_norm": topo_norm}
