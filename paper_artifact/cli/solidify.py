@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ε,ε…",
         help="offsets to try, as fractions of the soup's diagonal (default: .004 to .02 in eight steps)",
     )
-    parser.add_argument("--cells", type=float, help="grid cells per offset (default: 1.5)")
+    parser.add_argument("--cells", type=float, help="grid cells per offset (default: 2)")
     parser.add_argument(
         "--target",
         metavar="SHAPE|MESH",
