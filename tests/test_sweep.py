@@ -203,7 +203,9 @@ def test_what_is_recorded_is_not_run_again(swept, monkeypatch, capsys):
     assert {path: path.stat().st_mtime_ns for path in (results / "runs").iterdir()} == times
     assert reports == [("2 of 2 recorded; about 0 min left", 0, 0)]
     monkeypatch.setattr(
-        studies, "study_config", lambda shape, condition, seed, **_: replace(CONFIGS[0], seed=seed)
+        studies,
+        "study_config",
+        lambda shape, condition, seed, **_: replace(CONFIGS[0], shape=shape, seed=seed),
     )
     assert (
         cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--seed=0", f"--results={results}"]) == 0
@@ -223,7 +225,9 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
 
     monkeypatch.setattr(sweep_module, "run_processes", fail)
     monkeypatch.setattr(
-        studies, "study_config", lambda shape, condition, seed, **_: replace(CONFIGS[0], seed=seed)
+        studies,
+        "study_config",
+        lambda shape, condition, seed, **_: replace(CONFIGS[0], shape=shape, seed=seed),
     )
     assert (
         cli.main(["sweep", "baseline", "--shape=sphere", "--quiet", "--workers=3", f"--results={results}"])

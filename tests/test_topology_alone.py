@@ -27,6 +27,7 @@ FACES = {
         "build_bundle",
         "build_from_mesh",
         "build_plan",
+        "cleaned",
         "load_bundle",
     },
 }

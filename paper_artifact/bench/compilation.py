@@ -47,10 +47,14 @@ def _certificate(folder: Path) -> None:
 
 
 def _ingest(folder: Path) -> None:
+    from paper_artifact.ingest.closest import nearest_on
+    from paper_artifact.ingest.crossings import crossing_faces
     from paper_artifact.ingest.distance import distance_grid
 
     mesh = find_mesh("sphere")
     distance_grid(mesh.vertices, mesh.faces, mesh.diagonal / 8, mesh.diagonal / 4)
+    nearest_on(mesh.vertices[mesh.faces], mesh.vertices, mesh.diagonal / 4)
+    crossing_faces(mesh.vertices, mesh.faces)
 
 
 WORKS: dict[str, Callable[[Path], None]] = {

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     mesh = find_mesh(arguments.mesh, welded=False)
     folder = arguments.out or RESULTS / "audits" / (re.sub(r"[^\w.-]+", "_", mesh.name) or "mesh")
-    with tqdm(disable=arguments.quiet, bar_format="{desc} ({elapsed})", leave=False) as bar:
+    with tqdm(disable=arguments.quiet or None, bar_format="{desc} ({elapsed})", leave=False) as bar:
         audit = audit_mesh(
             mesh,
             arguments.mesh,

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
                 {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows},
             )
         return 1 if arguments.strict and any(row.agrees is False for row in rows) else 0
-    with tqdm(disable=arguments.quiet, bar_format="{desc} ({elapsed})", leave=False) as bar:
+    with tqdm(disable=arguments.quiet or None, bar_format="{desc} ({elapsed})", leave=False) as bar:
         bar.set_description_str(f"{arguments.mesh}: reading")
         certificate = certify_mesh(
             find_mesh(arguments.mesh, welded=False),
