@@ -61,7 +61,7 @@ EXPECTED = {
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
     """Figures are made, but not drawn: drawing takes a second each and knows nothing of meshes."""
-    monkeypatch.setattr(page, "_image", lambda figure, kind="svg": "")
+    monkeypatch.setattr(page, "_image", lambda *_, **__: "")
 
 
 def check_refused(verb: str, mesh: Path, out: Path, capsys, words: str) -> None:

@@ -168,7 +168,7 @@ def test_candidates_for_the_stronger_loss(folder):
     assert table.loc[("views=24", "horse"), ["ours / paper", "/ as in the study", "C0"]].tolist() == [
         "1.00",
         "2.00",
-        ".0700",
+        "",
     ]
     assert table.loc[("views=72", "horse"), "C1"] == ""
     text = knobs.strength_text(runs).splitlines()
