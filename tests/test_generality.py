@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from matplotlib.colors import to_hex
 
-from paper_artifact.catalogue import colour_of, shape_row, shapes_of
+from paper_artifact.catalogue import colour_of, shape_row, shapes_of, study_config
 from paper_artifact.evaluate.diagram import significant_counts
 from paper_artifact.evaluate.scores import evaluate_soup, make_target
 from paper_artifact.evaluate.staircase import measure
 from paper_artifact.files import RESULTS
-from paper_artifact.record.store import find_records, write_record
+from paper_artifact.record.store import config_of, find_records, write_record
 from paper_artifact.report import gallery, generality
 from paper_artifact.report.kit import frames, tables
 from paper_artifact.report.kit.records import Collected, collect_study, soup_path
@@ -134,7 +134,7 @@ def committed():
     return {
         (each["config"]["shape"], each["config"]["condition"]): each
         for each in find_records(RESULTS / "runs")
-        if each["config"]["seed"] == 0
+        if config_of(each) == study_config(each["config"]["shape"], each["config"]["condition"])
     }
 
 
