@@ -67,7 +67,8 @@ def test_paths_exist(document):
     folders = "paper_artifact|notebooks|data_scripts|results|tests"
     named = re.findall(rf"`((?:{folders})/[\w./-]*)`", DOCUMENTS[document])
     # git-ignored, written by the commands
-    made = {"results/executed/", "results/scenes/my", "results/book/index.html", "data_scripts/downloads/"}
+    made = {f"results/{each}" for each in ("executed/", "own/", "scenes/my", "book/index.html")}
+    made.add("data_scripts/downloads/")
     assert [path for path in named if path not in made and not (REPOSITORY / path).exists()] == []
 
 
