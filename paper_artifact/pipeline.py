@@ -9,14 +9,21 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from paper_artifact.config import NOISES, AllocationConfig, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import view_scores
-from paper_artifact.evaluate.scores import TAIL_DUMPS, evaluate_alone, evaluate_soup, make_target, tails
+from paper_artifact.evaluate.scores import (
+    TAIL_DUMPS,
+    Target,
+    evaluate_alone,
+    evaluate_soup,
+    make_target,
+    tails,
+)
 from paper_artifact.files import OWN, RESULTS, write_failure
 from paper_artifact.frame import SAME
 from paper_artifact.mesh import Mesh, mesh_hash
@@ -37,14 +44,13 @@ from paper_artifact.scene.perturb import Perturbation
 from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
+from paper_artifact.topology.bundle import Bundle, build_from_mesh
+from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
 from paper_artifact.topology.statement import frame_diagonal
+from paper_artifact.topology.term import TopologyTerm
+from paper_artifact.topology.words import words_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
-
-if TYPE_CHECKING:
-    from paper_artifact.topology.bundle import Bundle
-    from paper_artifact.topology.importance import ImportanceField
-    from paper_artifact.topology.term import TopologyTerm
 
 LEAST_SIDE = 22  # pixels: the SSIM window is 11, resampling works at half size
 DENSE = 20_000  # points of the target surface that hold an importance field
@@ -59,37 +65,28 @@ def make_run_term(
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
 ) -> tuple[TopologyTerm | None, Bundle | None]:
-    """Return (loss term, target bundle) of a configuration; (None, None), without any import, for no loss.
+    """Return (loss term, target bundle) of a configuration; (None, None) for no loss.
 
     bundle: a target that is there already, instead of the mesh. A loss in words has no bundle and needs no
     mesh, but the SfM cloud's `points` (P,3), world units. strict, tell: see `TopologyTerm`. Raises
     InputError for a bundle without a bar, or a cloud too small or flat.
     """
-    if config.loss is None:
-        return None, None
-    if bundle is not None:
-        from paper_artifact.topology.term import TopologyTerm
-
-        return TopologyTerm(config.loss, bundle, config.steps, config.seed), bundle
-    from paper_artifact.topology.term import TopologyTerm
-
     loss = config.loss
+    if loss is None:
+        return None, None
     if loss.kind == "betti":
-        from paper_artifact.topology.words import words_term
-
         assert points is not None
         return words_term(loss, points, config.steps, config.seed, strict=strict, tell=tell), None
-    from paper_artifact.topology.bundle import build_from_mesh
-
-    assert mesh is not None
-    bundle = build_from_mesh(
-        mesh.vertices,
-        mesh.faces,
-        loss.samples,
-        loss.bundle_seed,
-        shape=config.shape,
-        dimensions=loss.dimensions,
-    )
+    if bundle is None:
+        assert mesh is not None
+        bundle = build_from_mesh(
+            mesh.vertices,
+            mesh.faces,
+            loss.samples,
+            loss.bundle_seed,
+            shape=config.shape,
+            dimensions=loss.dimensions,
+        )
     return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
 
 
@@ -99,7 +96,6 @@ def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: M
     Random centres are drawn on the surface with the run's seed, of the same number, weights and widths (arms
     B3, B5).
     """
-    from paper_artifact.topology.importance import feature_kernels, importance_field
 
     def sample(count: int, generator: np.random.Generator) -> np.ndarray:
         return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
@@ -118,7 +114,7 @@ def make_run_allocation(
     """Return what an allocation gives to the trainer: a resampler, or the importance of the scene's points
     (n,3).
 
-    (None, None), without any import, for a configuration without allocation.
+    (None, None) for a configuration without allocation.
     """
     allocation = config.allocation
     if allocation is None:
@@ -254,14 +250,7 @@ def run(
         "resumed_at": state.resumed_at,
     }
     if truth is not None and target is not None:
-        sections["mesh"] = {
-            "name": truth.name,
-            "sha256": mesh_hash(truth),
-            "diagonal": truth.diagonal,
-            "betti": truth.betti,
-            "dimension": target.dimension,
-            "floor": target.floor,
-        }
+        sections["mesh"] = mesh_section(truth, target)
     if given.folder is not None:
         sections["scene"] = scene_section(scene)
     if frame != SAME:
@@ -293,6 +282,18 @@ def holdout_section(soup: Soup, scene: Scene) -> dict:
         "psnr": round(scores["psnr"], 4),
         "ssim": round(scores["ssim"], 6),
         "holdout_views": len(scene.holdout),
+    }
+
+
+def mesh_section(mesh: Mesh, target: Target) -> dict:
+    """Return what a record says of the ground truth, in the user's units, and of what it is judged by."""
+    return {
+        "name": mesh.name,
+        "sha256": mesh_hash(mesh),
+        "diagonal": mesh.diagonal,
+        "betti": mesh.betti,
+        "dimension": target.dimension,
+        "floor": target.floor,
     }
 
 

@@ -1,8 +1,6 @@
-"""The plan and the loss on raw points: the paper's equation by hand, Lemma 1, the Gabriel gate, bundles."""
+"""The plan and the loss on raw points: the paper's equation by hand, Lemma 1, the Gabriel gate."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
@@ -13,56 +11,13 @@ from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
-from paper_artifact.topology.bundle import (
-    Bundle,
-    build_bundle,
-    build_from_mesh,
-    bundle_from_json,
-    load_bundle,
-)
+from paper_artifact.topology.bundle import build_bundle
 from paper_artifact.topology.curvature import CLIP, pair_weights, surface_variation
-from paper_artifact.topology.floor import measurement_floor, median_spacing, significant, uniform_spacing
+from paper_artifact.topology.floor import measurement_floor, significant
 from paper_artifact.topology.loss import TopologyLoss
 from paper_artifact.topology.plan import Plan, build_plan
-from paper_artifact.topology.pulls import DIAGONAL, MATCHED, RECRUITED, Pulls, join_pulls, padded
-
-
-def sphere(seed: int, count: int = 400) -> np.ndarray:
-    directions = np.random.default_rng(seed).standard_normal((count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def handmade_bundle(
-    target: list, dimension: int, samples: int, floor: float = 0.05, diagonal: float = 1.0
-) -> Bundle:
-    bars = [np.zeros((0, 2))] * 3
-    bars[dimension] = np.array(target, dtype=np.float64).reshape(-1, 2)
-    return Bundle(
-        bars=tuple(bars),
-        dimensions=(dimension,),
-        reasons=("", "", ""),
-        samples=samples,
-        seed=0,
-        floor=floor,
-        floor_multiplier=6.0,
-        diagonal=diagonal,
-        shape="handmade",
-        source="sha256:",
-    )
-
-
-def pull(dimension: int, kind: int, values, birth_simplex, death_simplex, target, sound=True, weight=1.0):
-    """One bar and its pull."""
-    simplices = [padded(np.array([each])) for each in (birth_simplex, death_simplex)]
-    return Pulls(
-        dimension=np.array([dimension]),
-        kind=np.array([kind]),
-        values=np.array([values], dtype=np.float64),
-        simplices=np.stack(simplices, axis=1),
-        target=np.array([target or (0.0, 0.0)]),
-        sound=np.array([sound]),
-        weight=np.array([weight]),
-    )
+from paper_artifact.topology.pulls import DIAGONAL, MATCHED, RECRUITED, Pulls, join_pulls
+from tests.topology_cases import handmade_bundle, pull, sphere
 
 
 @pytest.fixture(scope="module")
@@ -71,19 +26,6 @@ def void():
     bundle = build_bundle(sphere(0), 2 * 3**0.5, shape="sphere")
     live = sphere(1) * [1, 1, 0.8] + 0.01 * np.random.default_rng(2).standard_normal((400, 3))
     return bundle, live
-
-
-def test_bundle_of_a_sphere_is_its_void(void):
-    bundle, _ = void
-    assert bundle.dimensions == (2,)
-    assert [len(bars) for bars in bundle.bars] == [0, 0, 1]
-    assert bundle.bars[2][0, 1] == pytest.approx(
-        1 / (2 * 3**0.5), rel=0.05
-    )  # death at the centre: radius 1 over the diagonal
-    assert bundle.reasons[2].startswith("matched: 1 significant") and bundle.reasons[1].startswith(
-        "not acted on"
-    )
-    assert bundle.floor == measurement_floor(sphere(0), 2 * 3**0.5)
 
 
 def test_loss_equals_the_equation_on_gudhis_diagram(void):
@@ -302,58 +244,6 @@ def test_flat_cases_and_wrong_density_are_refused(void):
         TopologyLoss(bundle, floor_source="none")
     with pytest.raises(InputError, match="no plan yet"):
         TopologyLoss(bundle, refresh_every=0)(torch.tensor(live))
-
-
-def test_bundle_refuses_empty_dimensions_and_names_them():
-    with pytest.raises(InputError, match="no significant bar in dimension 1 at M = 400"):
-        build_bundle(sphere(0), 3.46, dimensions=(1,))
-    with pytest.raises(InputError, match="dimension 3 does not exist"):
-        build_bundle(sphere(0), 3.46, dimensions=(3,))
-    with pytest.raises(InputError, match="cannot be suppressed"):
-        build_bundle(sphere(0), 3.46, suppress=(2,))
-    with pytest.raises(InputError, match="in any dimension"):
-        build_bundle(np.random.default_rng(0).random((100, 3)), 3**0.5)
-    both = build_bundle(sphere(0), 3.46, suppress=(1,))
-    assert both.dimensions == (1, 2) and both.reasons[1].startswith("suppressed on purpose")
-
-
-def test_bundle_json_round_trip_and_damage(tmp_path, void):
-    bundle, _ = void
-    path = tmp_path / "bundle.json"
-    bundle.save(path)
-    again = load_bundle(path)
-    assert again.to_json() == bundle.to_json()
-    value = json.loads(path.read_text())
-    for change in (
-        {"format": "other"},
-        {"floor": 9.0},
-        {"bars": [[], []]},
-        {"samples": None},
-        {"dimensions": []},
-        {"diagonal": 0.0},
-    ):
-        with pytest.raises(InputError):
-            bundle_from_json({**value, **change})
-    path.write_text("{")
-    with pytest.raises(InputError, match="cannot read the bundle"):
-        load_bundle(path)
-
-
-def test_bundle_from_mesh_is_a_function_of_its_seed_and_knows_its_mesh():
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([[a, b, c] for a, b, c, d in quads] + [[a, c, d] for a, b, c, d in quads])
-    first, again = (build_from_mesh(corners, faces, 600, 1, shape="cube") for _ in range(2))
-    other = build_from_mesh(corners, faces, 600, 2, shape="cube")
-    assert first.to_json() == again.to_json() and first.source == other.source and first.floor != other.floor
-    assert first.diagonal == pytest.approx(3**0.5) and first.dimensions == (2,)
-
-
-def test_uniform_spacing_law():
-    points = np.random.default_rng(0).random((20000, 3)) * [1, 1, 0]
-    assert median_spacing(points) == pytest.approx(uniform_spacing(1.0, 20000), rel=0.02)
-    with pytest.raises(InputError, match="positive area"):
-        uniform_spacing(0.0, 10)
 
 
 def test_curvature_weights_grow_where_the_surface_bends():

@@ -1,5 +1,5 @@
-"""The training loop on a tiny scene: it learns, its bits depend on the configuration alone, it resumes, its
-term, its errors.
+"""The training loop on a tiny scene: it learns, its bits depend on the configuration alone, its
+term, its errors. Resuming: test_train_resume.
 
 CUDA cannot be tested on a machine without one: what runs there is the twin, held to the CPU kernels below in
 float64 on the CPU.
@@ -8,7 +8,6 @@ float64 on the CPU.
 from __future__ import annotations
 
 import shutil
-import signal
 import subprocess
 import sys
 from collections import Counter
@@ -23,27 +22,17 @@ from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.files import REPOSITORY
-from paper_artifact.pipeline import run
-from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
-from paper_artifact.record.store import find_records
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
-from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
-from paper_artifact.train.checkpoint import SEAL, resumed_state
 from paper_artifact.train.loop import batch_views, train
 from paper_artifact.train.state import TrainingError, TrainState
-from paper_artifact.train.term import NoTerm
-from tests.tiny_run import STEPS, tiny_arguments, tiny_config
+from tests.tiny_run import STEPS, parts, tiny_arguments, tiny_config
 
 RESAMPLED = [10, 20, 30, 40, 50]
-
-
-def parts(soup) -> list[torch.Tensor]:
-    return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
 
 
 def same_bits(first: TrainState, second: TrainState) -> bool:
@@ -261,127 +250,6 @@ print(*sorted(name for name in sys.modules if name.startswith(("paper_artifact.t
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=600
     )
     assert (result.returncode, result.stdout.strip()) == (0, ""), result.stderr
-
-
-# --- resuming
-
-# Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
-KILLED = """
-import os, pathlib, signal, sys
-from paper_artifact import cli
-from paper_artifact.train import loop
-where, arguments = sys.argv[1], sys.argv[2:]
-def kill():
-    os.kill(os.getpid(), signal.SIGKILL)
-batch_views, write, checkpoints = loop.batch_views, pathlib.Path.write_bytes, []
-def at_step(train, batch, seed, step):
-    if step == 37 and where == "step":
-        kill()
-    return batch_views(train, batch, seed, step)
-def half(path, data):
-    checkpoints.extend([path] * (path.parent.name == "checkpoints"))
-    if len(checkpoints) == 4:
-        write(path, data[:len(data) // 2])
-        kill()
-    write(path, data)
-loop.batch_views = at_step
-if where == "write":
-    pathlib.Path.write_bytes = half
-cli.main(arguments)
-"""
-
-
-def without_circumstances(record: dict) -> dict:
-    circumstances = ("timings", "host", "resumed_at", "cpu_seconds", "digest")
-    return {name: value for name, value in record.items() if name not in circumstances}
-
-
-def arguments(condition: str, folder) -> list[str]:
-    extra = ["--condition=C1", "--loss=samples=512"] if condition == "C1" else []
-    return [*tiny_arguments(), *extra, f"--results={folder}"]
-
-
-@pytest.fixture(scope="module")
-def whole_runs(tiny_results, tmp_path_factory):
-    """{condition: (results folder, record)} of tiny runs by the command line, never stopped."""
-    runs = {}
-    for condition in ("C0", "C1"):
-        folder = tmp_path_factory.mktemp("whole") / "results"
-        shutil.copytree(tiny_results, folder)
-        assert cli.main(arguments(condition, folder)) == 0
-        (record,) = find_records(folder / "runs", condition=condition)
-        runs[condition] = folder, record
-    return runs
-
-
-@pytest.mark.parametrize("condition, where", [("C0", "write"), ("C1", "step")])
-def test_a_run_that_was_killed_goes_on_to_the_same_record(
-    condition, where, whole_runs, tiny_results, tmp_path
-):
-    folder = tmp_path / "results"
-    shutil.copytree(tiny_results, folder)
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED, where, *arguments(condition, folder)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
-    assert not list((folder / "runs").iterdir())
-    (checkpoint,) = (folder / "checkpoints").glob(
-        "[!.]*.pt"
-    )  # a dot file is what the kill left of the one being written
-    assert cli.main(arguments(condition, folder)) == 0
-    assert not checkpoint.exists()
-
-    whole_folder, expected = whole_runs[condition]
-    (record,) = find_records(folder / "runs")
-    assert expected["resumed_at"] is None and record["resumed_at"] == 30
-    assert without_circumstances(record) == without_circumstances(expected)
-    assert record["tails"]["steps"] == [20, 30, 60] and len(record["losses"]["loss"]) == STEPS
-    if condition == "C1":
-        assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [
-            14,
-            21,
-            31,
-        ]
-    (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
-    assert first.name == second.name
-    assert all(
-        torch.equal(a, b) for a, b in zip(parts(load_soup(first)), parts(load_soup(second)), strict=True)
-    )
-
-
-def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
-    folder, record = whole_runs["C0"]
-    monkeypatch.setattr("paper_artifact.pipeline.train", None)  # calling it would fail
-    assert run(tiny_config(), results=folder) == record
-    assert cli.main([*tiny_arguments(), f"--results={folder}"]) == 0
-    printed = capsys.readouterr().out
-    assert "sphere C0 seed 0" in printed and "held-out PSNR" in printed and str(folder / "runs") in printed
-
-
-def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, tmp_path):
-    path, config = tmp_path / "run.pt", tiny_config(steps=12)
-    train(tiny_scene, config, checkpoint=path, device="cpu")
-    data = path.read_bytes()
-    backend = backend_for("cpu", tiny_scene, tiny_scene.train)
-    assert resumed_state(path, config, NoTerm(), backend).step == 10
-    assert resumed_state(tmp_path / "none.pt", config, NoTerm(), backend) is None
-
-    with pytest.raises(InputError, match="belongs to another configuration"):
-        train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")
-    _, _, content = data.partition(b"\n")  # as a version without a digest wrote it
-    for bad in (data[: len(data) // 2], b"", b"no checkpoint at all", content):
-        path.write_bytes(bad)
-        with pytest.raises(InputError, match="run.pt is damaged .*digest"):
-            train(tiny_scene, config, checkpoint=path, device="cpu")
-    draws = stream(0, "flipped bits")
-    for place in [0, len(SEAL), *draws.integers(0, len(data), 60).tolist()]:
-        path.write_bytes(data[:place] + bytes([data[place] ^ 1 << draws.integers(8)]) + data[place + 1 :])
-        with pytest.raises(InputError, match="run.pt is damaged .*delete it to start the run anew"):
-            resumed_state(path, config, NoTerm(), backend)
 
 
 # --- what goes wrong

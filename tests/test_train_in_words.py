@@ -34,6 +34,7 @@ def test_a_scene_without_its_mesh_is_trained(samples, results, monkeypatch):
     (folder / "ground_truth.npz").unlink()
     monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)
     monkeypatch.setattr("paper_artifact.scene.find.find_mesh", None)
+    monkeypatch.setattr("paper_artifact.pipeline.build_from_mesh", None)
     monkeypatch.setattr("paper_artifact.topology.bundle.build_from_mesh", None)
     scene = load_scene(folder)
     config = tiny_config(condition="T1", loss={"betti": (1, 0, 1), "samples": samples})

@@ -98,7 +98,7 @@ def photographs_scene(
         held = load_json(folder / DESCRIPTION)["photographs"]
         return Registered(folder, **{**held, "names": tuple(held["names"])})
     colmap = need_pycolmap()
-    with whole_folder(folder) as temporary:
+    with whole_folder(folder, key) as temporary:
         work = temporary / "work"
         groups = _prepared(photographs, work / "pictures", config.features, progress)
         found = register(work / "pictures", groups, work, config.size, progress)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,7 +13,7 @@ from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, write_failure, write_json, write_npz
+from paper_artifact.files import write_json, write_npz
 from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
@@ -35,7 +32,7 @@ from paper_artifact.scene.perturb import (
     surrounding,
 )
 from paper_artifact.scene.texture import mesh_texture
-from paper_artifact.scene.whole import clear_stale
+from paper_artifact.scene.whole import holds, whole_folder
 
 SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
 
@@ -102,48 +99,18 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     """
     folder = Path(folder)
     key = scene_key(mesh, config)
-    if _holds(folder, key, config.views):
+    if holds(folder, key):
+        if (
+            len(list((folder / "images").glob("*.png"))) < config.views
+            or not (folder / GROUND_TRUTH).is_file()
+        ):
+            raise InputError(
+                f"the scene in {folder} has lost some of its files; remove the folder to build it again"
+            )
         return folder
-    temporary = None
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        clear_stale(folder)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
+    with whole_folder(folder, key) as temporary:
         _write_scene(mesh, config, temporary, key, progress)
-        temporary.chmod(0o755)
-        try:
-            os.rename(temporary, folder)
-        except OSError:
-            # Another process may have built the same scene meanwhile.
-            if not _holds(folder, key, config.views):
-                raise
-    except OSError as error:
-        raise write_failure(f"the scene to {folder}", error) from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
     return folder
-
-
-def _holds(folder: Path, key: str, views: int) -> bool:
-    """Return whether the folder holds the scene `key`; InputError when it holds anything else."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return False
-    try:
-        held = load_json(folder / DESCRIPTION)["key"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{folder} exists and is no scene of this package; choose another folder or remove it"
-        ) from error
-    if held != key:
-        raise InputError(
-            f"{folder} holds the scene of another mesh or configuration; choose another folder or remove it"
-        )
-    if len(list((folder / "images").glob("*.png"))) < views or not (folder / GROUND_TRUTH).is_file():
-        raise InputError(
-            f"the scene in {folder} has lost some of its files; remove the folder to build it again"
-        )
-    return True
 
 
 def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progress: bool) -> None:

@@ -104,7 +104,7 @@ def transforms_scene(
     key = _key(Path(file), frames, config)
     if holds(folder, key):
         return folder
-    with whole_folder(folder) as temporary:
+    with whole_folder(folder, key) as temporary:
         (temporary / "images").mkdir()
         cameras, masks = [], []
         for index, (path, camera) in enumerate(

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json
+from paper_artifact.files import load_json, write_failure
 from paper_artifact.scene.folder import DESCRIPTION
 
 STALE = 3600.0  # seconds
@@ -34,7 +34,8 @@ def holds(folder: Path, key: str) -> bool:
         ) from error
     if held != key:
         raise InputError(
-            f"{folder} holds a scene of other images or settings; choose another folder or remove it"
+            f"{folder} holds a scene of other images, or of another mesh or configuration; "
+            "choose another folder or remove it"
         )
     return True
 
@@ -49,11 +50,12 @@ def clear_stale(folder: Path) -> None:
 
 
 @contextmanager
-def whole_folder(folder: Path) -> Iterator[Path]:
+def whole_folder(folder: Path, key: str) -> Iterator[Path]:
     """Yield a temporary folder beside `folder`, which takes its name on a clean exit and is removed
     otherwise.
 
-    Raises InputError when it cannot be written, or when something appeared at `folder` meanwhile.
+    Where another process made the scene of the same key meanwhile, that one stays. Raises InputError when it
+    cannot be written, or when anything else appeared at `folder`.
     """
     temporary = None
     try:
@@ -62,12 +64,13 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
         yield temporary
         temporary.chmod(0o755)
-        os.rename(temporary, folder)
+        try:
+            os.rename(temporary, folder)
+        except OSError:
+            if not holds(folder, key):
+                raise
     except OSError as error:
-        raise InputError(
-            f"cannot write the scene to {folder}: {error.strerror or error}; "
-            "choose a folder that you can write to"
-        ) from error
+        raise write_failure(f"the scene to {folder}", error) from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)

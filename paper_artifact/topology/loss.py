@@ -10,6 +10,7 @@ refreshes.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,7 +24,7 @@ from paper_artifact.topology.cloud import Frame, check_cloud, noisy
 from paper_artifact.topology.plan import Plan, build_plan
 
 
-class PlannedLoss:
+class PlannedLoss(ABC):
     """A loss of M points whose plan is refreshed every few calls; what it aims at is a subclass's.
 
     defaults, settings: its LossConfig and what is changed in it; seed: of the noise that only the plan sees.
@@ -40,13 +41,13 @@ class PlannedLoss:
         self.plan: Plan | None = None
         self._calls = self._refreshes = 0
 
+    @abstractmethod
     def frame(self, points: np.ndarray) -> Frame:
         """Return what the loss acts towards; points (M,3), world units, those of a refresh."""
-        raise NotImplementedError
 
+    @abstractmethod
     def make(self, cloud: np.ndarray) -> Plan:
         """Return the plan of `cloud` (M,3), divided by the frame's diagonal."""
-        raise NotImplementedError
 
     def refresh(self, points: Tensor | np.ndarray) -> Plan:
         """Make the plan of `points` (M,3), world units, and return it.
