@@ -82,6 +82,17 @@ def test_outputs_are_clean(notebook):
             assert not [text for text in texts if MACHINE_PATH.search(text)], "a path of one machine"
 
 
+def test_every_figure_is_also_written_as_svg(notebook):
+    """Through `report.kit.figures.show`, each under a key of its own."""
+    keys = []
+    for cell in code_cells(notebook):
+        shown = sum("image/png" in output.get("data", {}) for output in cell.outputs)
+        own = re.findall(r'(?<!\w)show\("(\w+)", ', cell.source)
+        assert shown == len(own), cell.source
+        keys += own
+    assert len(keys) == len(set(keys))
+
+
 def test_figures_have_their_numbers_beside_them(notebook):
     """nbval compares no pictures, so a cell that draws also shows what it drew (a table, printed values)."""
     for cell in code_cells(notebook):
