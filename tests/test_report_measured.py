@@ -7,12 +7,13 @@ import pandas as pd
 import pytest
 
 from paper_artifact.bench.persistence import growth_text
-from paper_artifact.catalogue import SHAPES
+from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.errors import InputError
-from paper_artifact.report import cost, measured, speed, staircase, windows
+from paper_artifact.report import cost, measured, speed, staircase, starts, windows
+from paper_artifact.report.kit import frames
 from paper_artifact.report.kit import staircase as kit
 from paper_artifact.report.kit.published import published
-from paper_artifact.report.kit.records import collect
+from paper_artifact.report.kit.records import collect, collect_study
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.topology.bundle import build_from_mesh
@@ -216,3 +217,18 @@ def test_significance_by_counts_is_the_floors():
     )
     assert kit.counts(table, 1).tolist() == [2]
     assert significant(np.array([[0, 0.5], [0, 0.11], [0, 0.1], [0, 0.05]]), 0.1).sum() == 2
+
+
+def test_the_stored_starts_are_step_0_of_every_arm_that_starts_there():
+    stored = measured.read("starts")
+    assert stored.groupby("shape").size().eq(5).all()
+    fresh = starts.start_rows("sphere", (3,))
+    own = stored.query("shape == 'sphere' and seed == 3").reset_index(drop=True)
+    pd.testing.assert_frame_equal(own, fresh, rtol=1e-5, check_dtype=False)
+    dumps = frames.dumps(collect_study("allocation"))
+    first = dumps[dumps["step"] == 0]
+    assert {"C0", "B2", "B5"} <= set(first["condition"]) and "B1" not in set(first["condition"])
+    same = first[(first["shape"] == "sphere") & (first["seed"] == 3)]
+    assert len(same) == 5 and same["bottleneck"].nunique() == 1
+    assert same["bottleneck"].iloc[0] == pytest.approx(fresh["bottleneck"].iloc[0], rel=1e-5)
+    assert starts.start_of({**vars(study_config("sphere")), "budget": 900, "allocation": None}) is None

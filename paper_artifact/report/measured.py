@@ -1,4 +1,4 @@
-"""Notebooks 03, 04, 06, 07, 10, 14 to 19: long measurements, kept in `results/measured/NAME.csv`.
+"""Notebooks 01, 03, 04, 06, 07, 10, 14 to 19: long measurements, kept in `results/measured/NAME.csv`.
 
 `python -m paper_artifact measure NAME` makes one.
 """
@@ -43,6 +43,7 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_perfect",
         "the score of a perfect surface: the ground truth sampled again, against the target, 20 seeds",
     ),
+    "starts": ("measure_starts", "the soups before training, judged like a dump, five seeds of every shape"),
     "speed": (
         "measure_speed",
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",

@@ -18,6 +18,7 @@ from paper_artifact import catalogue
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import blank
+from paper_artifact.report.starts import start_of
 from paper_artifact.study.verdict import BASELINE, Verdict, rows_of, verdict
 
 ARM = ["shape", "condition"]
@@ -98,11 +99,14 @@ def arms(collected: Collected) -> pd.DataFrame:
 
 def dumps(collected: Collected) -> pd.DataFrame:
     """Return one row per record and dump: shape, condition, seed, step, bottleneck (radius / D) and count
-    in the judged dimension, Chamfer in percent of D."""
+    in the judged dimension, Chamfer in percent of D; step 0, the start, where it is stored (`starts`)."""
     rows = []
     for record in collected.records:
         dimension, config = record["mesh"]["dimension"], record["config"]
         key = {name: config[name] for name in (*ARM, "seed")}
+        if (start := start_of(config)) is not None:
+            first = {"bottleneck": start["bottleneck"], "count": start["count"]}
+            rows.append(key | {"step": 0} | first | {"chamfer %": 100 * start["chamfer"]})
         for dump in record["dumps"]:
             measured = {"bottleneck": dump["bottleneck"][dimension], "count": dump["counts"][dimension]}
             rows.append(key | {"step": dump["step"]} | measured | {"chamfer %": 100 * dump["chamfer"]})

@@ -146,7 +146,8 @@ def trajectory_figure(
     a shape has several axes below one another (`arm_groups`). The ramp of λ is marked.
 
     value: a column of `frames.dumps`; of "count", dashed, the expected one, and each arm lies LIFT above the
-    one before.
+    one before. Counts begin at the first dump: at the start, small scattered triangles, the floor is so low
+    that hundreds of bars count, as the table says.
     """
     shapes = list(shapes) or frames.shapes(collected)
     table, runs = frames.dumps(collected), frames.runs(collected)
@@ -170,6 +171,8 @@ def trajectory_figure(
                 dimension = f"{shapes[number]}, H{own['dimension'].iloc[0]}"
                 label_axis(axis, f"{dimension}: {words}" if many else dimension)
                 shown = table[(table["shape"] == shapes[number]) & table["condition"].isin(arms)]
+                if value == "count":
+                    shown = shown[shown["step"] > 0]
                 draw_bands(axis, shown, value, LIFT if value == "count" else 0.0)
                 if value == "count" and own["expected"].notna().any():
                     true = mark_value(axis, own["expected"].max())
