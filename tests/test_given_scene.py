@@ -92,6 +92,11 @@ def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_tru
     assert scores["images"]["psnr"] == pytest.approx(record["images"]["psnr"], abs=1e-3)
     assert scores["images"]["of"] == "held-out" and len(scores["margins"]) == 3
     assert "held-out views: PSNR" in capsys.readouterr().out
+    assert cli.main([*words, f"--json={out}", "--supersample=2"]) == 0
+    finer = json.loads(out.read_text())["images"]
+    assert finer["supersample"] == 2 and finer["psnr"] != scores["images"]["psnr"]
+    assert "4 rays a pixel" in capsys.readouterr().out
+    assert cli.main([*words, "--supersample=0"]) == 1 and "from 1 to 8" in capsys.readouterr().err
     assert cli.main([*words, "--holdout=none"]) == 0
     assert "training views: PSNR" in capsys.readouterr().out
     assert cli.main([*words[:2]]) == 1 and "give --target" in capsys.readouterr().err

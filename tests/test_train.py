@@ -68,6 +68,20 @@ def test_it_learns(trained, tiny_scene):
     assert holdout_psnr(trained.soup) > holdout_psnr(initial_soup(tiny_scene.points, 600, 0)) + 1.5
 
 
+def test_a_supersampled_pixel_is_the_mean_of_the_rays_of_a_larger_image(trained, tiny_scene):
+    views, (height, width) = tiny_scene.holdout, tiny_scene.images.shape[2:]
+    larger = replace(tiny_scene, images=np.zeros((len(tiny_scene.names), 3, 3 * height, 3 * width), np.uint8))
+    rays = render_views(trained.soup, larger, views).astype(float)
+    means = np.zeros((len(views), height, width, 3))
+    for row in range(3):
+        for column in range(3):
+            means += rays[:, row::3, column::3] / 9
+    np.testing.assert_allclose(render_views(trained.soup, tiny_scene, views, supersample=3), means, atol=2e-6)
+    # The middle of 3 × 3 rays is the pixel's own ray: one ray a pixel is what records hold.
+    one = render_views(trained.soup, tiny_scene, views)
+    assert np.mean(np.abs(one - rays[:, 1::3, 1::3]) < 1e-3) > 0.999
+
+
 def test_history_of_a_run(trained):
     assert [entry["step"] for entry in trained.dumps] == [20, 30, 60]
     assert [entry["step"] for entry in trained.resamplings] == RESAMPLED

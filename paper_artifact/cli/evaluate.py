@@ -36,6 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_reading_arguments(parser)
     parser.add_argument(
+        "--supersample",
+        type=int,
+        default=1,
+        metavar="K",
+        help="K × K rays a pixel in the renders that --scene scores: photographs average over a pixel, one "
+        "ray does not (default: %(default)s, as in records)",
+    )
+    parser.add_argument(
         "--samples",
         type=int,
         default=scores.SAMPLES,
@@ -57,6 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print a table. Returns 0; InputError goes to the caller."""
     if arguments.samples < 4:
         raise InputError(f"--samples must be at least 4, got {arguments.samples}")
+    if not 1 <= arguments.supersample <= 8:
+        raise InputError(f"--supersample must be a whole number from 1 to 8, got {arguments.supersample}")
     if not arguments.surface.is_file():
         raise InputError(f"no file at {arguments.surface}: give a trained soup (.npz) or a mesh")
     from paper_artifact.mesh import load_mesh
@@ -83,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
             from paper_artifact.scene.load import load_scene
 
             scene = load_scene(arguments.scene, **settings)
-            images = _view_scores(soup, frame, scene)
+            images = _view_scores(soup, frame, scene, arguments.supersample)
         if truth is None:
             result = _alone(soup, frame, scene, arguments) | {"images": images}
             print(table_alone(result))
@@ -156,19 +166,22 @@ def table_alone(result: dict) -> str:
 
 def images_line(images: dict) -> str:
     """Return the line of an image score and of which views."""
+    rays = images["supersample"] ** 2
     return (
         f"{images['of']} views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
-        f"({len(images['views'])} views)"
+        f"({len(images['views'])} views, {rays} ray{'s' if rays > 1 else ''} a pixel)"
     )
 
 
-def _view_scores(soup: Soup, frame: Frame, scene: Scene) -> dict:
-    """Return `view_scores` of the held-out views, or of all where none is held out, and which ("of")."""
+def _view_scores(soup: Soup, frame: Frame, scene: Scene, supersample: int) -> dict:
+    """Return `view_scores` of the held-out views, or of all where none is held out, of which ("of"), and of
+    how many rays a pixel and side ("supersample")."""
     from paper_artifact.evaluate.image import view_scores
     from paper_artifact.soup.state import reframed
 
     views, which = (scene.holdout, "held-out") if len(scene.holdout) else (scene.train, "training")
-    return view_scores(reframed(soup, frame, scene.frame), scene, views) | {"of": which}
+    found = view_scores(reframed(soup, frame, scene.frame), scene, views, supersample)
+    return found | {"of": which, "supersample": supersample}
 
 
 def _alone(soup: Soup, frame: Frame, scene: Scene, arguments: argparse.Namespace) -> dict:

@@ -55,15 +55,17 @@ def image_scores(images: np.ndarray, truth: np.ndarray) -> dict:
     return {"psnr": float(means[0]), "ssim": float(means[1]), "views": views}
 
 
-def view_scores(soup: Soup, scene: Scene, views: np.ndarray) -> dict:
+def view_scores(soup: Soup, scene: Scene, views: np.ndarray, supersample: int = 1) -> dict:
     """Return `image_scores` of a soup's renders of the scene's `views` (indices), one view in memory at a
-    time.
+    time. supersample: see `render_views`.
 
     Raises InputError for no views.
     """
     if not len(views):
         raise InputError(f"{scene.path} holds no view out, so there is nothing to score")
-    each = [image_scores(render_views(soup, scene, [view]), scene.colours([view])) for view in views]
+    each = [
+        image_scores(render_views(soup, scene, [view], supersample), scene.colours([view])) for view in views
+    ]
     pairs = [pair for scores in each for pair in scores["views"]]
     means = np.mean(pairs, axis=0)
     return {"psnr": float(means[0]), "ssim": float(means[1]), "views": pairs}
