@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paper_artifact.errors import InputError
+from paper_artifact.scene.subject import GROUND, RADIUS
 
 if TYPE_CHECKING:
     from paper_artifact.export.solid import SoupSolid
+    from paper_artifact.frame import Frame
+    from paper_artifact.soup.state import Soup
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +39,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a ground truth (shape, key of a fetched mesh, or file): its certificate "
         "says what is wanted, and the distance to it is printed",
     )
+    group = parser.add_argument_group("of a soup of photographs, only what they are of")
+    group.add_argument(
+        "--scene",
+        type=Path,
+        metavar="DIR",
+        help="the scene the soup was trained on: keeps what lies in the ball that all cameras look at, above "
+        "the plane that most of the cloud lies on",
+    )
+    group.add_argument(
+        "--radius",
+        type=float,
+        metavar="R",
+        help=f"of the ball, in half widths of the picture there (default: {RADIUS:g})",
+    )
+    group.add_argument(
+        "--ground",
+        type=float,
+        metavar="H",
+        help="what lies lower than this above the plane is taken away, in the same unit; 0 keeps the ground "
+        f"(default: {GROUND:g})",
+    )
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="also write offsets, checks, certificate, distance as JSON"
     )
@@ -47,11 +71,11 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from paper_artifact.certify.certificate import certify_mesh
-    from paper_artifact.export.solid import check_format, distances_to, solidify_soup, write_solid
+    from paper_artifact.export.solid import check_format, distances_to, placed, solidify_soup, write_solid
     from paper_artifact.files import write_json
     from paper_artifact.ingest.offsets import CELLS, OFFSETS, check_ladder, wanted_of
     from paper_artifact.scene.find import find_mesh
-    from paper_artifact.soup.state import load_soup
+    from paper_artifact.soup.state import load_frame, load_soup
 
     check_format(arguments.out)
     cells = CELLS if arguments.cells is None else arguments.cells
@@ -61,13 +85,17 @@ def run(arguments: argparse.Namespace) -> int:
     betti = None if arguments.betti is None else _numbers(arguments.betti, int, "--betti")
     if betti is not None:
         wanted_of(betti)
-    soup = load_soup(arguments.soup)
+    soup, frame = load_soup(arguments.soup), load_frame(arguments.soup)
+    if arguments.scene is not None:
+        soup = _of_the_subject(soup, frame, arguments)
+    elif arguments.radius is not None or arguments.ground is not None:
+        raise InputError("--radius and --ground belong to --scene DIR, whose cameras they are told from")
     target = None if arguments.target is None else find_mesh(arguments.target)
     if target is not None and betti is None:
         betti = certify_mesh(target, with_boundary=True).betti
     with tqdm(total=len(offsets), unit="ε", desc="offsets", disable=arguments.quiet) as bar:
         solid = solidify_soup(
-            soup, betti, offsets, cells, arguments.soup.stem, lambda rung: bar.update() and None
+            soup, betti, offsets, cells, arguments.soup.stem, lambda rung: bar.update() and None, frame=frame
         )
     report = solid.to_json()
     print(offset_table(solid))
@@ -81,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         )
         if target is not None:
-            report["distance"] = distances_to(solid.mesh, target)
+            report["distance"] = distances_to(placed(solid.mesh, frame), target)
             print(
                 f"to {target.name}: Chamfer {100 * report['distance']['chamfer']:.3f} %, "
                 f"Hausdorff95 {100 * report['distance']['hausdorff95']:.3f} % of its diagonal"
@@ -92,6 +120,32 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
     print(arguments.out)
     return 0
+
+
+def _of_the_subject(soup: Soup, frame: Frame, arguments: argparse.Namespace) -> Soup:
+    """Return the triangles whose middle belongs to what the scene's cameras look at, and say how many."""
+    import torch
+
+    from paper_artifact.scene.colmap import read_model
+    from paper_artifact.scene.folder import model_folder, scene_root
+    from paper_artifact.scene.subject import subject_of
+
+    model = read_model(model_folder(scene_root(arguments.scene)))
+    subject = subject_of(
+        [model.camera(image) for image in model.images],
+        model.positions,
+        RADIUS if arguments.radius is None else arguments.radius,
+        GROUND if arguments.ground is None else arguments.ground,
+    )
+    kept = subject.holds(frame.outward(soup.vertices.numpy()).mean(1))
+    ground = "with the ground" if subject.lowest == float("-inf") else "without the ground"
+    print(f"{kept.sum()} of {len(kept)} triangles are of what the cameras look at, {ground}")
+    if not kept.any():
+        raise InputError(
+            f"no triangle of {arguments.soup} lies where the cameras of {arguments.scene} look: is it the "
+            "scene it was trained on? --radius widens the ball, --ground 0 keeps the ground"
+        )
+    return soup.select(torch.from_numpy(kept.nonzero()[0]))
 
 
 def offset_table(solid: SoupSolid) -> str:
@@ -107,7 +161,9 @@ def offset_table(solid: SoupSolid) -> str:
     text = f"β = {solid.wanted.betti}, {kind}"
     if solid.rung is None:
         lines.append(
-            f"no offset gives {text}: no mesh is written; try --offsets beyond these, or train further"
+            f"no offset gives {text}: no mesh is written; try larger ones, --offsets "
+            f"{','.join(f'{solid.rungs[-1].offset * factor:.2g}' for factor in (1.25, 1.5, 2, 2.5, 3))}, "
+            "or train further"
         )
     elif solid.stated:
         lines.append(f"ε = {solid.rung.offset:g} D is the smallest that gives {text}")

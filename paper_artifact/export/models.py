@@ -17,12 +17,9 @@ from paper_artifact.frame import SAME, Frame
 def write_ply(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> None:
     """Write all triangles as binary PLY: per corner x y z, red green blue (sRGB bytes), alpha (opacity byte).
 
-    frame: of the triangles' coordinates; where it is not the user's own, x y z are doubles, since floats may
-    not resolve them. Raises InputError when `path` is not writable.
+    frame: of the triangles' coordinates, see `ply_bytes`. Raises InputError when `path` is not writable.
     """
-    mesh = _trimesh(triangles, triangles.colours, triangles.opacity)
-    data = export_ply(mesh)
-    write_bytes(path, data if frame == SAME else _with_doubles(data, frame.outward(mesh.vertices)))
+    write_bytes(path, ply_bytes(_trimesh(triangles, triangles.colours, triangles.opacity), frame))
 
 
 def write_glb(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> None:
@@ -35,13 +32,26 @@ def write_glb(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> No
     """
     shown = triangles.visible()
     mesh = _trimesh(shown, srgb_to_linear(shown.colours), np.ones_like(shown.opacity))
+    write_bytes(path, glb_bytes(mesh, frame))
+
+
+def glb_bytes(mesh: trimesh.Trimesh, frame: Frame = SAME) -> bytes:
+    """Return binary glTF of a mesh with linear colours, unlit; frame: of its coordinates, the node's
+    transform where it is not the user's."""
     scene = mesh.scene()
     if frame != SAME:
         placed = np.diag([*(2.0**frame.exponent,) * 3, 1.0])
         placed[:3, 3] = frame.offset
         scene = trimesh.Scene()
         scene.add_geometry(mesh, transform=placed)
-    write_bytes(path, export_glb(scene, include_normals=False, tree_postprocessor=unlit))
+    return export_glb(scene, include_normals=False, tree_postprocessor=unlit)
+
+
+def ply_bytes(mesh: trimesh.Trimesh, frame: Frame = SAME) -> bytes:
+    """Return binary PLY of a mesh with vertex colours; frame: of its coordinates; where it is not the user's
+    own, x y z are doubles, since floats may not resolve them."""
+    data = export_ply(mesh, vertex_normal=False)
+    return data if frame == SAME else _with_doubles(data, frame.outward(mesh.vertices))
 
 
 def _with_doubles(ply: bytes, vertices: np.ndarray) -> bytes:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
-from trimesh.exchange.gltf import export_glb
-from trimesh.exchange.ply import export_ply
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.export.models import srgb_to_linear, unlit
+from paper_artifact.export.models import glb_bytes, ply_bytes, srgb_to_linear
 from paper_artifact.export.triangles import THRESHOLD, Triangles, soup_triangles
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.ingest.offsets import CELLS, OFFSETS, Rung, Wanted, climb, plateau, shells, wanted_of
 from paper_artifact.ingest.retract import retract
 from paper_artifact.ingest.write import write_certified
@@ -35,14 +35,15 @@ class SoupSolid:
     rungs: tuple[Rung, ...]  # smallest offset first
     wanted: Wanted
     stated: bool  # whether somebody wanted it; False: it is the plateau of the rungs
-    diagonal: float  # D of the opaque soup, world units; offsets are fractions of it
+    diagonal: float  # D of the opaque soup, the frame's units; offsets are fractions of it
     rung: Rung | None = None  # the one taken; None: no offset gives the wanted topology
-    mesh: Mesh | None = None  # the solid, world units, wound outwards
+    mesh: Mesh | None = None  # the solid, the frame's units, wound outwards
     colours: np.ndarray | None = None  # (V,3) float32 sRGB in [0,1]
     moved: np.ndarray | None = None  # (V,) float64 share of the way back to the soup
     # triangles that may meet another; 0: none does; None: not looked for
     crossings: int | None = None
     certificate: Certificate | None = None  # of `mesh`
+    frame: Frame = SAME  # of the soup's coordinates; what is written and `to_json` have the user's
 
     def to_json(self) -> dict:
         """Return a JSON-able dict: wanted, every rung, and of the solid ε, certificate and checks."""
@@ -50,7 +51,7 @@ class SoupSolid:
         if self.rung is not None and self.certificate is not None and self.moved is not None:
             found = {
                 "offset": self.rung.offset,
-                "epsilon": self.rung.offset * self.diagonal,
+                "epsilon": math.ldexp(self.rung.offset * self.diagonal, self.frame.exponent),
                 "crossing_triangles": self.crossings,
                 "moved_back": float(self.moved.mean()),
                 "certificate": self.certificate.to_json(),
@@ -59,7 +60,7 @@ class SoupSolid:
             "wanted": list(self.wanted.betti),
             "body": self.wanted.body,
             "stated": self.stated,
-            "diagonal": self.diagonal,
+            "diagonal": math.ldexp(self.diagonal, self.frame.exponent),
             "offsets": [rung.to_json() for rung in self.rungs],
             "solid": found or None,
         }
@@ -80,12 +81,13 @@ def solidify_soup(
     name: str = "soup",
     progress: Callable[[Rung], None] | None = None,
     enough: Callable[[Sequence[Rung]], bool] | None = None,
+    frame: Frame = SAME,
 ) -> SoupSolid:
     """Return the SoupSolid of a trained soup.
 
     betti: of the surface, see `wanted_of`; None takes the plateau. offsets: fractions of the opaque soup's
-    diagonal; cells: grid cells per offset; progress, enough: see `climb`. Raises InputError for
-    what cannot be wanted, bad offsets, and as `opaque_mesh` does.
+    diagonal; cells: grid cells per offset; progress, enough: see `climb`; frame: of the soup's coordinates.
+    Raises InputError for what cannot be wanted, bad offsets, and as `opaque_mesh` does.
     """
     wanted = None if betti is None else wanted_of(betti)
     shown = soup_triangles(soup).visible()
@@ -94,9 +96,9 @@ def solidify_soup(
     if wanted is None:
         longest = plateau(rungs)
         body = any(rung.meets(Wanted(longest, True)) for rung in rungs)
-        result = SoupSolid(rungs, Wanted(longest, body), False, raw.diagonal)
+        result = SoupSolid(rungs, Wanted(longest, body), False, raw.diagonal, frame=frame)
     else:
-        result = SoupSolid(rungs, wanted, True, raw.diagonal)
+        result = SoupSolid(rungs, wanted, True, raw.diagonal, frame=frame)
     for rung, shell in shells(raw, rungs, result.wanted, cells):
         back = retract(shell, raw.vertices[raw.faces], rung.offset * raw.diagonal * (1 + 1 / cells))
         certificate = certify_mesh(back.mesh)
@@ -126,8 +128,8 @@ def check_format(path: Path | str) -> None:
 
 def write_solid(path: Path | str, solid: SoupSolid) -> Certificate:
     """Write the solid as binary PLY (sRGB bytes per vertex) or binary glTF 2.0 (unlit, COLOR_0 linear);
-    return the certificate of what was written. Raises InputError as `write_certified` does, and when there is
-    no solid."""
+    return the certificate of what was written, in the user's coordinates. Raises InputError as
+    `write_certified` does, and when there is no solid."""
     check_format(path)
     if solid.mesh is None or solid.colours is None:
         raise InputError(f"no offset gave the wanted topology, so there is no solid to write as {path}")
@@ -139,11 +141,13 @@ def write_solid(path: Path | str, solid: SoupSolid) -> Certificate:
         vertex_colors=np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8),
         process=False,
     )
-    if glb:
-        data = export_glb(mesh.scene(), include_normals=False, tree_postprocessor=unlit)
-    else:
-        data = export_ply(mesh, vertex_normal=False)
-    return write_certified(path, solid.mesh, data)
+    data = glb_bytes(mesh, solid.frame) if glb else ply_bytes(mesh, solid.frame)
+    return write_certified(path, placed(solid.mesh, solid.frame), data)
+
+
+def placed(mesh: Mesh, frame: Frame) -> Mesh:
+    """Return a mesh of the frame's coordinates in the user's."""
+    return replace(mesh, vertices=frame.outward(mesh.vertices))
 
 
 def distances_to(solid: Mesh, target: Mesh, samples: int = SAMPLES, seed: int = 0) -> dict[str, float]:
