@@ -1,0 +1,119 @@
+"""What photographs are of: cameras around a made subject on a made table, and the verb that uses it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from paper_artifact import cli
+from paper_artifact.errors import InputError
+from paper_artifact.frame import Frame
+from paper_artifact.mesh import load_mesh
+from paper_artifact.randomness import stream
+from paper_artifact.scene.cameras import look_at
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.scene.subject import subject_of
+from paper_artifact.soup.state import Soup, save_soup
+from tests.test_solidify import soup_of
+
+MIDDLE, DISTANCE = np.array([1.0, -2.0, 0.5]), 4.0
+WIDTH = DISTANCE * np.tan(np.radians(25))  # half of what a camera of 50 degrees sees there
+
+
+def ring(count: int = 12, turned: float = 1.0):
+    """Cameras around MIDDLE, 40 degrees up, each aimed a little beside it; turned -1: away from it."""
+    random = stream(0, "test")
+    for angle in 2 * np.pi * np.arange(count) / count:
+        out = np.array([np.cos(angle) * np.cos(0.7), np.sin(angle) * np.cos(0.7), np.sin(0.7)])
+        place = MIDDLE + DISTANCE * out
+        yield look_at(place, place - turned * (DISTANCE * out) + 0.02 * random.normal(size=3), 100)
+
+
+def table(height: float = -0.3) -> np.ndarray:
+    """A cloud: a wide table of 600 points at z = `height`, noisy, and 200 points of a thing above it."""
+    random = stream(1, "test")
+    flat = np.column_stack([MIDDLE[:2] + 4 * random.random((600, 2)) - 2, np.full(600, height)])
+    flat[:, 2] += 0.003 * random.normal(size=600)
+    return np.concatenate([flat, MIDDLE + 0.4 * random.normal(size=(200, 3)) * [1, 1, 0.5]])
+
+
+def test_the_subject_is_where_the_cameras_look_above_the_plane_it_stands_on():
+    subject = subject_of(list(ring()), table(), radius=0.5, ground=0.05)
+    assert np.linalg.norm(subject.centre - MIDDLE) < 0.02
+    assert subject.radius == pytest.approx(0.5 * WIDTH, rel=0.02)
+    assert subject.up[2] > 0.9999 and subject.lowest == pytest.approx(-0.3 + 0.05 * WIDTH, abs=0.01)
+    points = MIDDLE + [[0, 0, 0], [0.9, 0, 0], [0, 0, -0.7], [0, 0, -0.82], [0, 0, 0.9], [5, 0, 0]]
+    assert subject.holds(points).tolist() == [True, True, True, False, True, False]
+    kept = subject_of(list(ring()), table(), radius=0.5, ground=0)
+    assert kept.holds(points).tolist() == [True, True, True, True, True, False]
+
+
+def test_the_ground_is_found_from_either_side_and_again():
+    turned = table() * [1, -1, -1]
+    cameras = [look_at(camera.position * [1, -1, -1], MIDDLE * [1, -1, -1], 100) for camera in ring()]
+    subject = subject_of(cameras, turned)
+    assert subject.up[2] < -0.9999, "y down or z down: up is where the cameras are"
+    again = subject_of(cameras, turned)
+    assert np.array_equal(subject.up, again.up) and subject.lowest == again.lowest
+
+
+def test_cameras_without_a_subject_are_refused():
+    parallel = [look_at(np.array([x, 0.0, 0.0]), np.array([x, 5.0, 0.0]), 100) for x in range(5)]
+    for cameras, cloud, words, answer in (
+        (parallel, table(), {}, "parallel axes"),
+        (list(ring(turned=-1.0)), table(), {}, "away from each other"),
+        (list(ring()), table()[:2] + 50, {}, "--ground 0 keeps the ground"),
+        (list(ring()), table(), {"radius": 0.0}, "must be positive"),
+        (list(ring()), table(), {"ground": -1.0}, "must be positive"),
+    ):
+        with pytest.raises(InputError, match=answer):
+            subject_of(cameras, cloud, **words)
+
+
+def joined(*soups: Soup) -> Soup:
+    first, *others = soups
+    return Soup(
+        torch.cat([first.vertices, *(each.vertices for each in others)]),
+        torch.cat([first.features, *(each.features for each in others)]),
+        torch.cat([first.opacity, *(each.opacity for each in others)]),
+        first.mlp,
+    )
+
+
+def test_the_verb_takes_the_subject_out_of_a_scenes_soup(tiny_scene, tmp_path, capsys):
+    """tiny_scene: cameras around the unit sphere at the origin, no ground."""
+    torus = make_shape("torus")
+    thing = soup_of(torus.vertices * (0.8 / torus.radius), torus.faces)
+    wall = soup_of(torus.vertices + [9.0, 0, 0], torus.faces)
+    save_soup(tmp_path / "s.npz", joined(thing, wall))
+    out = tmp_path / "s.ply"
+    words = ["solidify", str(tmp_path / "s.npz"), f"--out={out}", "--offsets=0.03", "--quiet"]
+    assert cli.main([*words, "--betti=1,2,1"]) == 1 and not out.exists(), "with the wall there are two"
+    capsys.readouterr()
+    scene = [f"--scene={tiny_scene.path}", "--ground=0", "--radius=0.8"]
+    assert cli.main([*words, "--betti=1,2,1", *scene]) == 0
+    count = len(torus.faces)
+    assert f"{count} of {2 * count} triangles are of what the cameras look at" in capsys.readouterr().out
+    assert np.abs(load_mesh(out).vertices).max() < 0.9
+    save_soup(tmp_path / "s.npz", wall)
+    assert cli.main([*words, *scene]) == 1 and "--radius widens the ball" in capsys.readouterr().err
+    assert cli.main([*words, "--radius=2"]) == 1 and "belong to --scene" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb"])
+@pytest.mark.parametrize(("offset", "exponent"), [((1e8, -1e8, 3.0), 0), ((0.0, 0.0, 0.0), 40)])
+def test_a_solid_is_in_the_users_coordinates(tmp_path, kind, offset, exponent):
+    torus, frame = make_shape("torus"), Frame(offset, exponent)
+    save_soup(tmp_path / "s.npz", soup_of(torus.vertices, torus.faces), frame)
+    save_soup(tmp_path / "here.npz", soup_of(torus.vertices, torus.faces))
+    for name in ("s", "here"):
+        words = ["solidify", str(tmp_path / f"{name}.npz"), f"--out={tmp_path / name}.{kind}", "--quiet"]
+        assert cli.main([*words, "--betti=1,2,1", "--offsets=0.03"]) == 0
+    here, there = (load_mesh(tmp_path / f"{name}.{kind}", welded=False) for name in ("here", "s"))
+    np.testing.assert_array_equal(there.vertices, frame.outward(here.vertices))
+    assert (
+        np.array_equal(there.faces, here.faces)
+        and trimesh.Trimesh(there.vertices, there.faces, process=False).is_watertight
+    )
