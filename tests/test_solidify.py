@@ -190,6 +190,10 @@ def test_the_verb(tmp_path: Path, capsys):
     assert "ε = 0.025 D is the smallest that gives β = (1, 2, 1)" in printed and "Chamfer" in printed
     report = json.loads(stored.read_text())
     assert report["solid"]["certificate"]["genus"] == 1 and report["distance"]["chamfer"] < 0.02
+    assert cli.main([*words, "--offsets", "0.03"]) == 0
+    assert "no Betti numbers last over two offsets: ε = 0.03 D" in capsys.readouterr().out
+    assert cli.main([*words, "--offsets", "0.025,0.03"]) == 0
+    assert "nothing was wanted; β = (1, 2, 1), a body, lasts longest" in capsys.readouterr().out
     out.unlink()
     assert cli.main([*words, "--betti", "1,4,1", "--offsets", "0.03"]) == 1
     assert "no offset gives β = (1, 4, 1)" in capsys.readouterr().out and not out.exists()

@@ -167,6 +167,11 @@ def offset_table(solid: SoupSolid) -> str:
         )
     elif solid.stated:
         lines.append(f"ε = {solid.rung.offset:g} D is the smallest that gives {text}")
+    elif sum(rung.betti == solid.wanted.betti for rung in solid.rungs) == 1:
+        lines.append(
+            f"nothing was wanted, and no Betti numbers last over two offsets: ε = {solid.rung.offset:g} D is "
+            f"taken; {text}, says nothing of what was photographed"
+        )
     else:
         lines.append(f"nothing was wanted; {text}, lasts longest, from ε = {solid.rung.offset:g} D on")
     return "\n".join(lines)
