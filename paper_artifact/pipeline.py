@@ -30,6 +30,7 @@ from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import (
     config_hash,
+    config_of,
     make_record,
     read_record,
     record_path,
@@ -46,7 +47,7 @@ from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
-from paper_artifact.topology.statement import frame_diagonal
+from paper_artifact.topology.statement import Statement, ended, frame_diagonal
 from paper_artifact.topology.term import TopologyTerm
 from paper_artifact.topology.words import words_term
 from paper_artifact.train.backend import check_device
@@ -265,6 +266,14 @@ def run(
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
     return record
+
+
+def closing_notes(record: dict) -> list[str]:
+    """Return `topology.statement.ended` of a record of a loss in words, nothing of another."""
+    loss, said = config_of(record).loss, record.get("statement")
+    if loss is None or said is None:
+        return []
+    return ended(Statement(tuple(said["betti"]), said["diagonal"]), record["topology"], loss)
 
 
 def results_of(config: RunConfig) -> Path:

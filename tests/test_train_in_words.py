@@ -12,8 +12,8 @@ from paper_artifact import cli
 from paper_artifact.catalogue import study_config
 from paper_artifact.cli.train import audited
 from paper_artifact.errors import InputError
-from paper_artifact.pipeline import make_run_term
-from paper_artifact.record.store import find_records
+from paper_artifact.pipeline import closing_notes, make_run_term
+from paper_artifact.record.store import find_records, read_record, recorded_path
 from paper_artifact.scene.load import load_ground_truth, load_scene
 from paper_artifact.train.loop import train
 from tests.tiny_run import tiny_arguments, tiny_config
@@ -108,3 +108,19 @@ def test_a_mesh_outside_the_study_gets_the_density_of_the_audits_rule(tmp_path, 
         assert audited(untouched, ()) is untouched
     with pytest.raises(InputError, match="is measurable at M = 2048 or 8192: .* Train it with condition C0"):
         audited(study_config(paths[1], "C2"), ())
+
+
+def test_a_run_tells_at_the_end_what_it_never_saw(capsys):
+    """Of the committed runs: the horse's seed 1, whose void never rose above the guard, and seed 0's, whose
+    did."""
+    path = recorded_path(study_config("horse", "T1", 1))
+    assert path is not None
+    first, second = closing_notes(read_record(path))
+    assert first.startswith("you said 1 void; none so far: the next candidate has 0.") and "noise" in first
+    assert second == "the loss never acted: none of its plans had a bar to act on"
+    assert cli.main(["train", "horse", "--condition=T1", "--seed=1", "--quiet"]) == 0
+    assert f"note, at the end: {second}" in capsys.readouterr().out
+    seen = recorded_path(study_config("horse", "T1", 0))
+    assert seen is not None and closing_notes(read_record(seen)) == []
+    without = recorded_path(study_config("horse", "C1", 0))
+    assert without is not None and closing_notes(read_record(without)) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from paper_artifact.errors import InputError
-from paper_artifact.report import demos, dirty, recruitment, words, words_hurt
+from paper_artifact.report import demos, dirty, realism, recruitment, words, words_hurt
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.topology import cleaned
 from paper_artifact.topology.clean import projected, trimmed
@@ -26,6 +26,7 @@ def recorded(shape, arm, seed, tail, warned=(), margins=(2.0, 0.3), **changes) -
             {"event": "audit", "step": 501, "warnings": list(warned), "notes": []},
             {"event": "lambda", "step": 501, "lambda_peak": 0.25},
         ]
+        record["statement"] = {"betti": record["config"]["loss"]["betti"], "diagonal": 1.0, "samples": 2048}
         record["timings"] = {"photometric": 10.0, "topology": 4.0, "evaluate": 3.0}
     return record
 
@@ -90,12 +91,16 @@ def test_lies_are_told_by_kind_and_harm():
         and few["÷ true words'"] == "2.00"
         and few["the audit"] == "warned: no void"
     )
-    text = words_hurt.lie_text(lies(), RUNS)
-    assert (
-        "too few voids: 1 of 1 runs harmed (1 beyond 1.5 times the true words' tail, worst 2.0); warned of 1"
-        in text
-    )
-    assert "too many loops: 0 of 1 runs harmed" in text
+    assert few["not seen at the end"] == "—"
+    unseen = recorded("sphere", "T1, betti=(1, 0, 2)", 1, 0.02, loss={"betti": (1, 0, 2)})
+    unseen["topology"][0]["dimensions"]["2"]["wanted"] = 2
+    table = words_hurt.lie_table(Collected((unseen,), ()), RUNS)
+    assert table.loc[("sphere", "1,0,2", "T1"), "not seen at the end"] == "2 voids"
+    text = words_hurt.lie_text(Collected((*lies().records, unseen), ()), RUNS)
+    assert "0 of 6 runs with true words, 1 of 2 runs with too many, 0 of 1 runs with too few" in text
+    harmed = "T1, too few voids: 1 of 1 runs harmed (1 beyond 1.5 times the true words' tail, worst 2.0)"
+    assert f"{harmed}; warned of 1" in text
+    assert "T1, too many loops: 0 of 1 runs harmed" in text
     thresholds = words_hurt.threshold_table(lies(), RUNS)
     assert thresholds.loc["warned beyond 1 floors"].tolist() == ["0 of 6", "1 of 1", "0 of 1"]
     assert thresholds.loc["longest surplus bar", "too few"] == "4.00"
@@ -103,25 +108,28 @@ def test_lies_are_told_by_kind_and_harm():
 
 def test_realism_and_the_five_lines():
     changes = {"views": 10}
-    realism = Collected(
+    troubled = Collected(
         tuple(
-            recorded("sphere", f"{arm}, views=10", 0, tail, **changes)
-            for arm, tail in (("C0", 0.06), ("T1", 0.05), ("T2", 0.07))
+            recorded("sphere", f"{arm}, views=10", seed, tail, **changes)
+            for arm, tails in (("C0", (0.06, 0.08)), ("T1", (0.05, 0.05)), ("T2", (0.07, 0.09)))
+            for seed, tail in enumerate(tails)
         ),
         (("sphere", "C1, views=10", 0),),
     )
-    table = words_hurt.realism_table(realism, RUNS, "sphere")
-    assert table.loc["views=10", "T1"] == ".0500 (1.2×)" and table.loc["views=10", "C1"] == "not recorded"
-    text = words_hurt.realism_text(realism, RUNS)
-    assert "T2: sphere: no better than C0 under views=10" in text
-    assert (
-        "T1: sphere: no better than C0 under none, better but beyond 1.5 times its clean tail under views=10"
-        in text
-    )
-    lines = words_hurt.advice(RUNS, lies(), realism)
+    table = realism.realism_table(troubled, RUNS, "sphere")
+    assert table.loc["views=10", "T1"] == ".0500 (1.4×)" and table.loc["views=10", "C1"] == "not recorded"
+    assert table.loc["views=10", "T2"] == ".0800 (0.9× !)", "the ranges overlap"
+    assert table.loc[realism.AS_IT_IS, "seeds"] == "2/2/2/2", "of the seeds of the troubled runs alone"
+    text = realism.realism_text(troubled, RUNS)
+    assert "T2, sphere: every seed below C0's under 0 of 1 troubles; in the mean alone under none; " in text
+    assert "no better under views=10; beyond 1.5 times its clean tail under none" in text
+    assert "T1, sphere: every seed below C0's under 1 of 1 troubles; in the mean alone under none; " in text
+    assert "no better under none; beyond 1.5 times its clean tail under views=10" in text
+    assert "C1, sphere: not recorded" in text
+    lines = words_hurt.advice(RUNS, lies(), troubled)
     assert len(lines) == 5 and "T1 passes on 1 of 1 shapes, T2 on 0 of 1 shapes" in lines[1]
     assert "say more, not fewer: too many classes harmed 0 of 1 runs, too few 1 of 1" in lines[3]
-    assert "with views=10 words beat C0 in 1 of 2 runs" in lines[4]
+    assert "with views=10 words are clearly below C0 in 1 of 2 cases" in lines[4]
     nothing = Collected((), (("sphere", "T1", 0), ("double_torus", "T1", 0)))
     assert len(words_hurt.advice(nothing, nothing, nothing)) == 5 and words.outcome_text(nothing)
 

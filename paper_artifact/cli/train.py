@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from paper_artifact.cli._progress import tqdm
-    from paper_artifact.pipeline import results_of
+    from paper_artifact.pipeline import closing_notes, results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
@@ -178,6 +178,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"warning: {each}")
     for each in notes:
         print(f"note, when the loss set in: {each}")
+    for each in closing_notes(record):
+        print(f"note, at the end: {each}")
     trained = config_of(record)
     results = arguments.results or results_of(trained)
     print(f"record: {record_path(trained, results / 'runs', record['defaults'])}")

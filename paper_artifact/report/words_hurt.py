@@ -1,4 +1,5 @@
-"""Notebook 16: what hurts a statement in words: lies, and what the audit says of them; real scenes' troubles.
+"""Notebook 16: what hurts a statement in words: lies, and what the audit says of them; the five lines of
+advice.
 
 A lie differs from what dense samples show. "Too many loops" says more than there are, "too few" fewer. The
 audit's margins are lifetimes of the longest bar beyond the stated ones, in floors of the live cloud, at the
@@ -12,17 +13,16 @@ from collections.abc import Iterator, Mapping
 import pandas as pd
 
 from paper_artifact.catalogue import shape_row, tag_of
-from paper_artifact.report.kit import frames
+from paper_artifact.pipeline import closing_notes
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import NOT_RECORDED, short
+from paper_artifact.report.realism import fewest_text
 from paper_artifact.report.words import DEVISED, WORDS, judged
 from paper_artifact.study.verdict import BASELINE, LOSS
 from paper_artifact.topology.statement import NAMES, SURPLUS
 
 THRESHOLDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # floors: where the audit might warn
 HARMFUL, BROKEN = 1.15, 1.5  # tail over the truthful one's beyond which a lie counts as harmful, as broken
-AS_IT_IS = "clean, 48 views"
-FEWEST = "views=10"
 
 
 def truth(shape: str) -> tuple[int, ...]:
@@ -41,8 +41,8 @@ def kinds(shape: str, said: tuple[int, ...]) -> list[str]:
 
 def lie_table(lies: Collected, truthful: Collected) -> pd.DataFrame:
     """Return a row per lie and design, with its kind: tail, over that of the true words (same shape, design
-    and seed), over C0's, bars of all dimensions at the end, Chamfer over the true words', and whether the
-    audit warned before the loss set in.
+    and seed), over C0's, bars of all dimensions at the end, Chamfer over the true words', whether the audit
+    warned before the loss set in, and which stated classes the last plan does not show.
 
     truthful: has T1, T2 and C0 of the same shapes.
     """
@@ -65,6 +65,7 @@ def lie_table(lies: Collected, truthful: Collected) -> pd.DataFrame:
             "Chamfer ÷ true words'": _ratio(tails["chamfer"], true, "chamfer"),
             "the audit": "; ".join(filter(None, (_count(found[0], "warnings"), _count(found[0], "notes"))))
             or "—",
+            "not seen at the end": ", ".join(map(_subject, closing_notes(found[0]))) or "—",
         }
     table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
     table.index = pd.MultiIndex.from_tuples(table.index, names=["shape", "said", ""])
@@ -72,30 +73,40 @@ def lie_table(lies: Collected, truthful: Collected) -> pd.DataFrame:
 
 
 def lie_text(lies: Collected, truthful: Collected) -> str:
-    """Return per kind of lie how many runs it harmed (tail beyond HARMFUL times the true words'), how many it
-    broke (BROKEN), the worst, and how many of both the audit had warned of."""
+    """Return per design and kind of lie how many runs it harmed (tail beyond HARMFUL times the true words'),
+    how many it broke (BROKEN), the worst, and how many of both the audit had warned of; then, of true words
+    and of lies, how many runs end with a stated class not seen."""
     lines = []
-    for kind, runs in sorted(_lie_groups(lies, truthful).items()):
+    for (design, kind), runs in sorted(_lie_groups(lies, truthful).items()):
         harmed = [warned for ratio, warned in runs if ratio > HARMFUL]
         worst = max(ratio for ratio, _ in runs)
         lines.append(
-            f"{kind}: {len(harmed)} of {len(runs)} runs harmed ({sum(r > BROKEN for r, _ in runs)} beyond "
-            f"{BROKEN} times the true words' tail, worst {worst:.1f}); warned of {sum(harmed)} of these, "
-            f"and of {sum(warned for _, warned in runs)} in all"
+            f"{design}, {kind}: {len(harmed)} of {len(runs)} runs harmed ({sum(r > BROKEN for r, _ in runs)} "
+            f"beyond {BROKEN} times the true words' tail, worst {worst:.1f}); warned of {sum(harmed)} of "
+            f"these, and of {sum(warned for _, warned in runs)} in all"
         )
-    return "\n".join(lines) or f"lies and true words: {NOT_RECORDED}"
+    if not lines:
+        return f"lies and true words: {NOT_RECORDED}"
+    ends: dict[str, list[bool]] = {"true words": [], "too many": [], "too few": []}
+    for record in (*truthful.records, *lies.records):
+        if record["config"]["loss"] is not None and record["config"]["loss"]["kind"] == "betti":
+            wrong = kinds(record["config"]["shape"], tuple(record["config"]["loss"]["betti"]))
+            name = "true words" if not wrong else "too many" if "many" in " ".join(wrong) else "too few"
+            ends[name].append(bool(closing_notes(record)))
+    counts = (f"{sum(noted)} of {len(noted)} runs with {name}" for name, noted in ends.items())
+    return "\n".join([*lines, f"a stated class is not seen when the run ends: {', '.join(counts)}"])
 
 
-def _lie_groups(lies: Collected, truthful: Collected) -> dict[str, list[tuple[float, bool]]]:
-    """Return {kind of lie: [(tail over the true words', whether the audit warned)]}."""
-    groups: dict[str, list[tuple[float, bool]]] = {}
+def _lie_groups(lies: Collected, truthful: Collected) -> dict[tuple[str, str], list[tuple[float, bool]]]:
+    """Return {(design, kind of lie): [(tail over the true words', whether the audit warned)]}."""
+    groups: dict[tuple[str, str], list[tuple[float, bool]]] = {}
     for shape, arm, seed in lies.wanted:
         found, true = lies.of(shape, arm, seed), _tails(truthful, shape, tag_of(arm), seed)
         if not found or true is None:
             continue
         ratio = found[0]["tails"]["bottleneck"][found[0]["mesh"]["dimension"]] / true["tail"]
         for kind in kinds(shape, _said(arm)):
-            groups.setdefault(kind, []).append((ratio, bool(_remarks(found[0], "warnings"))))
+            groups.setdefault((tag_of(arm), kind), []).append((ratio, bool(_remarks(found[0], "warnings"))))
     return groups
 
 
@@ -136,54 +147,6 @@ def surplus_margins(record: Mapping) -> Iterator[tuple[int, float]]:
             yield int(dimension), report["margins"][report["wanted"]]
 
 
-def realism_table(realism: Collected, clean: Collected, shape: str) -> pd.DataFrame:
-    """Return a row per trouble (the clean scene first) for one shape: the tails of C0, C1, T1, T2 of seed 0,
-    with C0 of that trouble over them; bars in the judged dimension; Chamfer over C0's."""
-    rows: dict[str, dict] = {}
-    for trouble, arms in _troubles(realism, clean, shape).items():
-        base, row = arms.get(BASELINE), {}
-        for arm in (BASELINE, LOSS, *WORDS):
-            own = arms.get(arm)
-            if own is None:
-                row[arm] = NOT_RECORDED
-                continue
-            gain = "" if arm == BASELINE or base is None else f" ({base['tail'] / own['tail']:.1f}×)"
-            row[arm] = f"{short(own['tail'])}{gain}"
-        row["bars"] = "/".join("?" if arm not in arms else str(arms[arm]["count"]) for arm in row)
-        row["Chamfer %"] = "/".join(
-            "?" if arm not in arms else f"{100 * arms[arm]['chamfer']:.2f}"
-            for arm in (BASELINE, LOSS, *WORDS)
-        )
-        rows[trouble] = row
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(f"{shape}: trouble")
-
-
-def realism_text(realism: Collected, clean: Collected) -> str:
-    """Return per design where it breaks: the troubles under which its tail is no better than C0's, or worse
-    than BROKEN times its own in the clean scene, per shape."""
-    lines = []
-    for arm in (LOSS, *WORDS):
-        said = []
-        for shape in frames.shapes(realism):
-            troubles = _troubles(realism, clean, shape)
-            own = {name: arms[arm] for name, arms in troubles.items() if arm in arms and BASELINE in arms}
-            best = own.pop(AS_IT_IS, None)
-            if not own or best is None:
-                said.append(f"{shape} {NOT_RECORDED}")
-                continue
-            useless = [name for name in own if own[name]["tail"] >= troubles[name][BASELINE]["tail"]]
-            worse = [
-                name for name in own if own[name]["tail"] > BROKEN * best["tail"] and name not in useless
-            ]
-            said.append(
-                f"{shape}: no better than C0 under {'; '.join(useless) or 'none'}, "
-                f"better but beyond {BROKEN} times its clean tail under {'; '.join(worse) or 'none'} "
-                f"(of {len(own)})"
-            )
-        lines.append(f"{arm}: {'. '.join(said)}")
-    return "\n".join(lines)
-
-
 def advice(runs: Collected, lies: Collected, realism: Collected) -> list[str]:
     """Return the summary in five lines: which design to use when, and what remains unproven. Every number is
     counted from the runs; without them a line says so."""
@@ -201,7 +164,7 @@ def advice(runs: Collected, lies: Collected, realism: Collected) -> list[str]:
         "3. Many small loops: the denser M that `--loss samples=auto` finds, then T2; on the shapes it was "
         f"devised on, post hoc, T2 passes on {devised['T2']}, T1 on {devised['T1']}, C1 on {devised[LOSS]}.",
         f"4. {doubt}; --strict stops where the images show a class that the words deny.",
-        f"5. Unproven: real photographs, and what no view shows ({_views(realism, runs)}); gaps of a "
+        f"5. Unproven: real photographs, and what no view shows ({fewest_text(realism, runs)}); gaps of a "
         "cloud read as loops.",
     ]
 
@@ -218,35 +181,8 @@ def _counted(runs: Collected, arm: str, *, devised: bool) -> str:
 def _harmed(lies: Collected, truthful: Collected, word: str) -> tuple[int, int] | None:
     """Return (harmed runs, runs) of the lies of a kind with that word, None without any."""
     groups = _lie_groups(lies, truthful).items()
-    ratios = [each[0] for kind, group in groups if word in kind for each in group]
+    ratios = [each[0] for (_, kind), group in groups if word in kind for each in group]
     return (sum(ratio > HARMFUL for ratio in ratios), len(ratios)) if ratios else None
-
-
-def _views(realism: Collected, clean: Collected) -> str:
-    """Return, for the fewest views, in how many of the runs with words the tail is below C0's."""
-    found = [
-        arms[arm]["tail"] < arms[BASELINE]["tail"]
-        for shape in frames.shapes(realism)
-        for trouble, arms in _troubles(realism, clean, shape).items()
-        if trouble == FEWEST and BASELINE in arms
-        for arm in WORDS
-        if arm in arms
-    ]
-    return f"with {FEWEST} words beat C0 in {sum(found)} of {len(found)} runs" if found else NOT_RECORDED
-
-
-def _troubles(realism: Collected, clean: Collected, shape: str) -> dict[str, dict[str, dict]]:
-    """Return {trouble: {condition: its row of `frames.runs`}} of seed 0, the clean scene first."""
-    found: dict[str, dict[str, dict]] = {AS_IT_IS: {}}
-    for shaped, arm, _ in realism.wanted:
-        if shaped == shape:
-            found.setdefault(arm.partition(", ")[2], {})
-    for runs in (clean, realism):
-        for row in frames.runs(runs).query("shape == @shape and seed == 0").to_dict("records"):
-            trouble = row["condition"].partition(", ")[2] or AS_IT_IS
-            if trouble in found:
-                found[trouble][tag_of(row["condition"])] = row
-    return found
 
 
 def _tails(runs: Collected, shape: str, arm: str, seed: int) -> dict | None:
@@ -279,5 +215,10 @@ def _remarks(record: Mapping, kind: str) -> list[str]:
 
 def _count(record: Mapping, kind: str) -> str:
     word = {"warnings": "warned", "notes": "not seen yet"}[kind]
-    dims = [each.partition(";")[0].removeprefix("you said ") for each in _remarks(record, kind)]
+    dims = [_subject(each) for each in _remarks(record, kind)]
     return f"{word}: {', '.join(dims)}" if dims else ""
+
+
+def _subject(remark: str) -> str:
+    """Return what a remark is about: "2 voids" of "you said 2 voids; …"."""
+    return remark.partition(";")[0].removeprefix("you said ")

@@ -7,7 +7,7 @@ a ground truth: the frame is that of the SfM cloud, the floor that of the live s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,6 +92,16 @@ def unseen(statement: Statement, report: Mapping[str, Any], config: LossConfig) 
                 f"you said {said}; {shown} so far: the next candidate has {margins[seen]:.2f} of the floor, "
                 f"and below {level:g} it may be noise"
             )
+    return found
+
+
+def ended(statement: Statement, log: Sequence[Mapping[str, Any]], config: LossConfig) -> list[str]:
+    """Return what is to be known of a finished run's loss, a sentence each: wanted classes that its last plan
+    does not show, and that it never acted, where no weight could be set. log: of the run's `TopologyTerm`."""
+    plans = [event for event in log if event["event"] == "refresh"]
+    found = unseen(statement, plans[-1], config) if plans else []
+    if plans and not any(event["event"] == "lambda" for event in log):
+        found.append("the loss never acted: none of its plans had a bar to act on")
     return found
 
 
