@@ -133,6 +133,9 @@ STUDIES: dict[str, tuple[Block, ...]] = {
             Block(PAIR, ("T1",), range(3), loss={"pull": pull}) for pull in (0.1, 0.5, 8.0)
         ),  # the default is 2
         *(Block(PAIR, ("T1",), range(3), loss={"rho": rho}) for rho in (0.03, 0.3, 1.0)),  # the default is .1
+        # the default guard is .5: without one the longest bars are wanted, noise or not
+        Block((*PAIR, "horse", "pot", "rocker-arm"), WORDS, range(3), loss={"guard": 0.0}),
+        Block(("pot",), WORDS, range(3), loss={"dimensions": (2,)}),  # where C1 acts on it
     ),
     "lies": tuple(  # one class too many or too few in each dimension, and no loop at all
         Block(shapes, WORDS, range(1), loss={"betti": betti})
