@@ -122,20 +122,23 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(("double_torus",), WORDS, range(3), loss={"samples": 8192}),  # where T2 was devised
         # where samples=auto finds another M than the study's at which all classes show
         Block(
-            ("double_torus", "rocker-arm", "eight", "bowl_narrow"), WORDS, range(1), loss={"samples": "auto"}
+            ("double_torus", "rocker-arm", "eight", "bowl_narrow"), WORDS, range(3), loss={"samples": "auto"}
         ),
     ),
     "words_ablation": (
-        Block(PAIR, ("T1",), range(1), loss={"aim": "smoothed"}),  # S16: bounded deaths
-        Block(PAIR, ("T1",), range(1), loss={"aim": "births", "suppress": "none"}),  # births only
-        Block(PAIR, WORDS, range(1), loss={"aim": "none"}),  # suppression only
+        Block(PAIR, ("T1",), range(3), loss={"aim": "smoothed"}),  # S16: bounded deaths
+        Block(PAIR, ("T1",), range(3), loss={"aim": "births", "suppress": "none"}),  # births only
+        Block(PAIR, WORDS, range(3), loss={"aim": "none"}),  # suppression only
         *(
-            Block(PAIR, ("T1",), range(1), loss={"pull": pull}) for pull in (0.1, 0.5, 8.0)
+            Block(PAIR, ("T1",), range(3), loss={"pull": pull}) for pull in (0.1, 0.5, 8.0)
         ),  # the default is 2
-        *(Block(PAIR, ("T1",), range(1), loss={"rho": rho}) for rho in (0.03, 0.3, 1.0)),  # the default is .1
+        *(Block(PAIR, ("T1",), range(3), loss={"rho": rho}) for rho in (0.03, 0.3, 1.0)),  # the default is .1
+        # the default guard is .5: without one the longest bars are wanted, noise or not
+        Block((*PAIR, "horse", "pot", "rocker-arm"), WORDS, range(3), loss={"guard": 0.0}),
+        Block(("pot",), WORDS, range(3), loss={"dimensions": (2,)}),  # where C1 acts on it
     ),
     "lies": tuple(  # one class too many or too few in each dimension, and no loop at all
-        Block(shapes, ("T1",), range(1), loss={"betti": betti})
+        Block(shapes, WORDS, range(1), loss={"betti": betti})
         for shapes, lies in (
             (("sphere", "spot"), ((2, 0, 1), (1, 1, 1), (1, 0, 2), (1, 0, 0))),
             (("torus", "bob"), ((2, 2, 1), (1, 3, 1), (1, 1, 1), (1, 0, 1), (1, 2, 2), (1, 2, 0))),
@@ -144,12 +147,18 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         for betti in lies
     ),
     "realism": tuple(
-        Block(PAIR, ("C0", "C1", *WORDS), range(1), changes=change)
+        Block(PAIR, ("C0", "C1", *WORDS), range(3), changes=change)
         for change in (
             {"views": 10},
+            {"views": 24},
             {"image_noise": 0.05},
             {"background": "texture"},
+            {"camera_noise": 0.001},
+            {"camera_noise": 0.0025},
             {"camera_noise": 0.005},
+            {"cloud_noise": 0.0075},
+            {"cloud_outliers": 0.05},
+            {"cloud_missing": 0.2},
             {"cloud_noise": 0.0075, "cloud_outliers": 0.05, "cloud_missing": 0.2},
         )
     ),
