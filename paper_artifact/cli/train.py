@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
@@ -182,7 +183,14 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"note, at the end: {each}")
     trained = config_of(record)
     results = arguments.results or results_of(trained)
-    print(f"record: {record_path(trained, results / 'runs', record['defaults'])}")
+    path = record_path(trained, results / "runs", record["defaults"])
+    print(f"record: {path}")
+    if arguments.scene is not None:
+        said = "" if arguments.betti is None else f" --betti {arguments.betti}"
+        soup, scene = (
+            shlex.quote(str(each)) for each in (results / "soups" / f"{path.stem}.npz", arguments.scene)
+        )
+        print(f"next: python -m paper_artifact solidify {soup} --scene {scene}{said} --out mesh.ply")
     return 0
 
 
