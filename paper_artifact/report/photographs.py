@@ -239,6 +239,34 @@ def result_table(measured: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("condition")
 
 
+def result_text(measured: pd.DataFrame) -> str:
+    """Return whether the words pay on these photographs: T1 against C0 in the mean, and how often either
+    soup's solid has the mug's topology."""
+    arms = dict(iter(measured.groupby("condition"))) if len(measured) else {}
+    if not {"C0", "T1"} <= set(arms):
+        return "C0 and T1: not measured yet"
+    base, own = arms["C0"], arms["T1"]
+    ratios = ", ".join(
+        f"{name} {own[column].mean() / base[column].mean():.2f} times"
+        for name, column in (("Chamfer", "chamfer"), ("bottleneck of the handle's loop", "bottleneck_1"))
+    )
+    loop = "neither better nor worse"
+    if own["bottleneck_1"].max() < base["bottleneck_1"].min():
+        loop = "better"
+    elif own["bottleneck_1"].min() > base["bottleneck_1"].max():
+        loop = "worse"
+    solids = ", ".join(
+        f"{condition} {each['solid_offset'].notna().sum()} of {len(each)} (smallest ε "
+        + "/".join("none" if np.isnan(offset) else f"{offset:g}" for offset in each["solid_offset"])
+        + ")"
+        for condition, each in arms.items()
+    )
+    return (
+        f"T1 against C0: PSNR {own['psnr'].mean() - base['psnr'].mean():+.2f} dB, {ratios}; in every seed "
+        f"the loop is {loop}\nsolids of genus 1: {solids}"
+    )
+
+
 def solid_table(measured: pd.DataFrame) -> pd.DataFrame:
     """Return per condition and seed the genus of the subject's solid at every offset ("genus in k": of k
     components), the smallest offset with the mug's topology, and that solid's distance to the mug."""
