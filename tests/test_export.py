@@ -115,7 +115,7 @@ def test_html_holds_the_triangles_and_asks_nothing_of_the_network(tmp_path):
         "A <b>title</b>",
     )
     text = (tmp_path / "view.html").read_text(encoding="utf-8")
-    assert not re.search(r"https?://|src=|@import|@DATA@|@TITLE@", text)
+    assert not re.search(r"https?://|src=|@import|@DATA@|@TITLE@|@BACK@|<a ", text)
     assert "A &lt;b&gt;title" in text and text.count("</script>") == 2
     data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.S).group(1))
     assert [part["name"] for part in data["parts"]] == ["</script> soup", "ground truth"]
@@ -125,6 +125,8 @@ def test_html_holds_the_triangles_and_asks_nothing_of_the_network(tmp_path):
     colours = np.frombuffer(base64.b64decode(data["parts"][0]["colours"]), np.uint8).reshape(-1, 3, 3)
     np.testing.assert_array_equal(colours, np.rint(shown.colours * 255))
     assert data["radius"] > 0
+    linked = html_page({"soup": triangles}, "t", back=('../a"b.html', "← <back>"))
+    assert '<a href="../a&quot;b.html">← &lt;back&gt;</a>' in linked
 
 
 def test_empty_or_diverged_triangles_are_refused(tmp_path):

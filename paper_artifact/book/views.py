@@ -62,6 +62,7 @@ def write_views(sources: Sources, folder: Path) -> list[View]:
             arms.append(f"{name}, tail {run['tail']:.4f}")
             names.append(f"{shape}-{arm}-s{SEED}")
         points = np.concatenate([each.visible().vertices.reshape(-1, 3) for each in parts.values()])
-        write_html(folder / f"{shape}.html", parts, shape, shape_viewpoint(row, points))
+        back = ("../soups.html", "← the book")
+        write_html(folder / f"{shape}.html", parts, shape, shape_viewpoint(row, points), back)
         made.append(View(shape, f"{shape}.html", tuple(names), tuple(arms), note.strip()))
     return made

@@ -20,21 +20,30 @@ MOST_TRIANGLES = 400_000  # about 25 MB of HTML
 
 
 def write_html(
-    path: Path | str, parts: Mapping[str, Triangles], title: str, viewpoint: Viewpoint | None = None
+    path: Path | str,
+    parts: Mapping[str, Triangles],
+    title: str,
+    viewpoint: Viewpoint | None = None,
+    back: tuple[str, str] | None = None,
 ) -> None:
     """Write a page that shows `parts` (name → triangles, world units) side by side, turning together, or one
     of them alone.
 
     viewpoint: where it is first seen from (default: all of it, from above one side, z upwards). Drag to
     orbit, wheel or pinch to zoom, double click to reset; "light" is a headlight, "colours" shows the
-    triangles' own instead of one grey. Triangles of mean opacity below .5 are left out. Raises InputError for
+    triangles' own instead of one grey. back: address and words of a link to where the page belongs. Triangles of mean opacity below .5 are left out. Raises InputError for
     no parts, a part that is empty or not finite, more triangles than a page can hold, or a path that is not
     writable.
     """
-    write_text(path, html_page(parts, title, viewpoint))
+    write_text(path, html_page(parts, title, viewpoint, back))
 
 
-def html_page(parts: Mapping[str, Triangles], title: str, viewpoint: Viewpoint | None = None) -> str:
+def html_page(
+    parts: Mapping[str, Triangles],
+    title: str,
+    viewpoint: Viewpoint | None = None,
+    back: tuple[str, str] | None = None,
+) -> str:
     """Return the page of `write_html` as text."""
     shown = {name: triangles.visible() for name, triangles in parts.items()}
     if not shown:
@@ -69,7 +78,8 @@ def html_page(parts: Mapping[str, Triangles], title: str, viewpoint: Viewpoint |
     }
     # "<" escaped: no name can end the script element.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return PAGE.replace("@TITLE@", html.escape(title)).replace("@DATA@", text)
+    link = "" if back is None else f'<a href="{html.escape(back[0])}">{html.escape(back[1])}</a>'
+    return PAGE.replace("@BACK@", link).replace("@TITLE@", html.escape(title)).replace("@DATA@", text)
 
 
 def _base64(array: np.ndarray) -> str:

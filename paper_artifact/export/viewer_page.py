@@ -1,4 +1,4 @@
-"""The HTML, CSS and JavaScript of the 3-D view; @TITLE@ and @DATA@ are filled in by `viewer`."""
+"""The HTML, CSS and JavaScript of the 3-D view; @TITLE@, @BACK@ and @DATA@ are filled in by `viewer`."""
 
 PAGE = r"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -8,6 +8,7 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: #fff; color:
 body { display: flex; flex-direction: column; }
 #bar { padding: 8px 12px 2px; border-bottom: 1px solid #ddd; }
 #bar h1 { font-size: 15px; margin: 0 0 6px; font-weight: 600; }
+#bar a { float: right; color: #2c5f8a; }
 #bar button, #bar label { margin: 0 6px 6px 0; padding: 3px 10px; border: 1px solid #999; border-radius: 4px;
   background: #fff; color: inherit; font: inherit; cursor: pointer; display: inline-block; }
 #bar button[aria-pressed=true] { background: #2c5f8a; border-color: #2c5f8a; color: #fff; }
@@ -18,7 +19,7 @@ canvas { position: absolute; width: 100%; height: 100%; display: block; touch-ac
 #names small { font-weight: 400; color: #666; display: block; }
 #hint { position: absolute; right: 8px; bottom: 6px; color: #666; font-size: 12px; pointer-events: none; }
 </style></head><body>
-<div id="bar"><h1>@TITLE@</h1><span id="parts"></span><label><input type="checkbox" id="light" checked> light</label><label><input type="checkbox" id="colours" checked> colours</label></div>
+<div id="bar">@BACK@<h1>@TITLE@</h1><span id="parts"></span><label><input type="checkbox" id="light" checked> light</label><label><input type="checkbox" id="colours" checked> colours</label></div>
 <div id="stage"><canvas id="view"></canvas><div id="names"></div><div id="hint">drag: orbit · wheel, pinch: zoom · double click: reset</div></div>
 <script id="data" type="application/json">@DATA@</script>
 <script>
