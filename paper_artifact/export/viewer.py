@@ -29,11 +29,11 @@ def write_html(
     """Write a page that shows `parts` (name → triangles, world units) side by side, turning together, or one
     of them alone.
 
-    viewpoint: where it is first seen from (default: all of it, from above one side, z upwards). Drag to
-    orbit, wheel or pinch to zoom, double click to reset; "light" is a headlight, "colours" shows the
-    triangles' own instead of one grey. back: address and words of a link to where the page belongs. Triangles of mean opacity below .5 are left out. Raises InputError for
-    no parts, a part that is empty or not finite, more triangles than a page can hold, or a path that is not
-    writable.
+    viewpoint: where it is first seen from (default: all of it, from above one side, z upwards); back:
+    address and words of a link to where the page belongs. Drag to orbit, wheel or pinch to zoom, double click
+    to reset; "light" is a headlight, "colours" shows the triangles' own instead of one grey. Triangles of
+    mean opacity below .5 are left out. Raises InputError for no parts, a part that is empty or not finite,
+    more triangles than a page can hold, or a path that is not writable.
     """
     write_text(path, html_page(parts, title, viewpoint, back))
 
