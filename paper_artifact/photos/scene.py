@@ -8,6 +8,7 @@ picture.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import shutil
 from collections import defaultdict
@@ -30,7 +31,7 @@ from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.holdout import AUTO
-from paper_artifact.scene.images import IMAGE_FORMATS
+from paper_artifact.scene.images import opened
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same photographs would give another scene
@@ -100,7 +101,7 @@ def photographs_scene(
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
         work = temporary / "work"
-        groups = _prepared(photographs, work / "pictures", config.features, progress)
+        groups = prepared(photographs, work / "pictures", config.features, progress)
         found = register(work / "pictures", groups, work, config.size, progress)
         for doubt in doubts(found, [each.stem + ".jpg" for each in photographs]):
             tell(doubt)
@@ -175,7 +176,7 @@ def _key(photographs: Sequence[Path], config: PhotosConfig) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bool) -> list[list[str]]:
+def prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bool) -> list[list[str]]:
     """Write the photographs as JPEG of at most `size` pixels a side to `folder`; return their names by
     camera.
 
@@ -184,18 +185,16 @@ def _prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bo
     folder.mkdir(parents=True)
     cameras: dict[tuple, list[str]] = defaultdict(list)
     for file in tqdm(photographs, desc="reading", unit="photo", disable=not progress):
-        try:
-            with Image.open(file, formats=IMAGE_FORMATS) as opened:
-                exif = opened.getexif()
-                own = exif.get_ifd(ExifTags.IFD.Exif)
-                exif.pop(ExifTags.Base.Orientation, None)
-                opened.draft("RGB", (size, size))
-                picture = opened.convert("RGB")
+        with opened(file, file) as read:
+            exif = read.getexif()
+            own = exif.get_ifd(ExifTags.IFD.Exif)
+            exif.pop(ExifTags.Base.Orientation, None)
+            read.draft("RGB", (size, size))
+            picture = read.convert("RGB")
             picture.thumbnail((size, size), Image.Resampling.LANCZOS)
-            target = folder / f"{file.stem}.jpg"
-            picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
-        except Exception as error:  # PIL's decoders raise whatever their decoding meets
-            raise InputError(f"{file} is damaged or no photograph ({error}); leave it out") from error
+            picture.save(content := io.BytesIO(), "JPEG", quality=QUALITY, subsampling=0, exif=exif)
+        target = folder / f"{file.stem}.jpg"
+        target.write_bytes(content.getvalue())
         focal = str(own.get(ExifTags.Base.FocalLength))
         cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)
     if len({size[0] >= size[1] for size, *_ in cameras}) > 1:
