@@ -26,10 +26,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import trimesh
-from PIL import Image
+from PIL import ExifTags, Image
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
@@ -161,7 +162,7 @@ class Sample:
 
 def samples(folder: Path) -> dict[str, Sample]:
     """Write the sound files below `folder` and return them by kind."""
-    return _scenes(folder) | _meshes(folder) | _texts(folder) | _soups(folder)
+    return _scenes(folder) | _pictures(folder) | _meshes(folder) | _texts(folder) | _soups(folder)
 
 
 def _scenes(folder: Path) -> dict[str, Sample]:
@@ -206,6 +207,59 @@ def _scenes(folder: Path) -> dict[str, Sample]:
         scene / "ground_truth.npz", partial(load_ground_truth, scene), (mutate_bytes, mutate_zip)
     )
     return found
+
+
+def _pictures(folder: Path) -> dict[str, Sample]:
+    """Return photographs as `photos` reads them, before structure from motion, and NeRF's RGBA views."""
+    from paper_artifact.files import write_json
+    from paper_artifact.photos.prepare import photographs_in, prepared
+    from paper_artifact.scene import hull
+    from paper_artifact.scene.load import load_scene
+    from paper_artifact.scene.transforms import TransformsConfig, transforms_scene
+
+    draws = stream(0, "fuzz pictures")
+    exif = Image.Exif()
+    exif[ExifTags.Base.Model], exif[ExifTags.Base.Orientation] = "a camera", 6
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
+    photographs, nerf = folder / "photographs", folder / "nerf"
+    photographs.mkdir(), nerf.mkdir()
+    found = {}
+    for name in ("a.jpg", "b.png", "c.tif", "d.webp", "e.bmp"):
+        Image.fromarray(draws.integers(0, 256, (16, 24, 3)).astype(np.uint8)).save(
+            photographs / name, exif=exif
+        )
+
+    def photos() -> None:
+        with tempfile.TemporaryDirectory() as work:
+            prepared(photographs_in(photographs), Path(work) / "pictures", 64, False)
+
+    for name in ("a.jpg", "b.png", "c.tif", "d.webp", "e.bmp"):
+        png = (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)
+        found[f"photograph {name}"] = Sample(photographs / name, photos, png)
+
+    ball = np.hypot(*np.indices((24, 24)) - 11.5) < 8
+    poses = trimesh.transformations.rotation_matrix, np.linspace(0, 2 * np.pi, 5)[:-1]
+    frames = []
+    for index, angle in enumerate(poses[1]):
+        pixels = np.dstack([draws.integers(0, 256, (24, 24, 3)), 255 * ball]).astype(np.uint8)
+        Image.fromarray(pixels).save(nerf / f"r_{index}.png")
+        pose = poses[0](angle, (0, 1, 0)) @ trimesh.transformations.translation_matrix((0, 0, 4))
+        frames.append({"file_path": f"./r_{index}", "transform_matrix": pose.tolist()})
+    size = {"fl_x": 30.0, "fl_y": 31.0, "cx": 12.0, "cy": 12.5, "w": 24, "h": 24}
+    write_json(nerf / "transforms.json", {"camera_angle_x": 0.8, **size, "frames": frames})
+
+    def transforms() -> object:
+        # Coarser than the command's hull, which is not what is mutated, and takes three seconds.
+        with tempfile.TemporaryDirectory() as work, patch.multiple(hull, COARSE=8, FINE=16):
+            config = TransformsConfig(size=24, points=50)
+            return load_scene(transforms_scene(nerf / "transforms.json", Path(work) / "scene", config))
+
+    file, texts = nerf / "transforms.json", (mutate_bytes, mutate_json, mutate_json)
+    view = nerf / "r_1.png"
+    return found | {
+        "transforms.json": Sample(file, transforms, texts),
+        "RGBA view": Sample(view, transforms, (mutate_bytes, mutate_png)),
+    }
 
 
 def _meshes(folder: Path) -> dict[str, Sample]:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 
 from paper_artifact.cli import main
+from paper_artifact.config import GivenConfig, RunConfig
+from paper_artifact.record.store import make_record, write_record
+from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.folder import scene_digest
+from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 
 
@@ -111,8 +118,6 @@ def test_export_writes_every_format(soup_file, tmp_path, capsys):
         f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
     ]
     assert sorted(path.rsplit("/", 1)[-1] for path in capsys.readouterr().out.split()) == names
-    from PIL import Image
-
     with Image.open(out / "sphere-C0-s0.view0.png") as image:
         pixels = np.asarray(image)
     # An orange ball in the middle, the white background in the corner.
@@ -127,3 +132,59 @@ def test_export_refuses_what_is_no_soup(tmp_path, capsys):
     (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04 torn")
     assert main(["export", str(tmp_path / "torn.npz"), "--out", str(tmp_path)]) == 1
     assert "torn.npz" in capsys.readouterr().err
+
+
+@pytest.fixture()
+def trained_on_a_scene(soup_file, tmp_path):
+    """A scene, and the soup of a run whose record says how its photographs were read."""
+    scene = tmp_path / "ball"
+    build_scene(make_shape("sphere"), SceneConfig(views=10, size=48, supersample=1, points=200), scene)
+    given = GivenConfig(scene_digest(scene), downscale=2.0, background="#102030", holdout="3")
+    record = make_record(RunConfig("ball", given=given), [], {}, {"photometric": 1.0})
+    path = write_record(record, tmp_path / "runs")
+    (tmp_path / "soups").mkdir()
+    return scene, soup_file.rename(tmp_path / "soups" / f"{path.stem}.npz"), path
+
+
+def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path, capsys):
+    scene, soup, record = trained_on_a_scene
+
+    def scores(*words):
+        out = tmp_path / "scores.json"
+        words = ["evaluate", str(soup), "--scene", str(scene), "--samples", "300", "--json", str(out), *words]
+        assert main(words) == 0
+        images = json.loads(out.read_text())["images"]
+        return images["psnr"], images["views"], capsys.readouterr().err
+
+    asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
+    by_hand = scores(*asked)
+    found = scores()
+    assert found[:2] == by_hand[:2] and by_hand[2] == ""
+    told = f"--downscale 2 --background #102030 --holdout 3, as the run was trained ({record}); give others"
+    assert found[2].startswith(told) and found[2].count("\n") == 1
+    part = scores("--holdout", "5", "--downscale", "1")
+    assert part[2].startswith("--background #102030, as the run")
+    assert part[:2] == scores("--holdout", "5", "--downscale", "1", "--background", "#102030")[:2]
+    assert len({found[0], part[0], scores("--background", "white")[0]}) == 3
+    # A record of another scene says nothing of this one.
+    Image.new("RGB", (48, 48)).save(next((scene / "images").iterdir()))
+    (scene / "scene.json").unlink()
+    other = scores()
+    assert f"{record} is of another scene than {scene}" in other[2]
+    record.unlink()
+    assert scores() == (other[0], other[1], "")
+
+
+def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path, capsys):
+    scene, soup, _ = trained_on_a_scene
+    words = ["export", str(soup), "--scene", str(scene), "--formats", "png", "--out"]
+    assert main([*words, str(tmp_path / "a")]) == 0
+    told = capsys.readouterr()
+    assert "as the run was trained" in told.err and all(Path(line).is_file() for line in told.out.split())
+    asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
+    assert main([*words, str(tmp_path / "b"), *asked]) == 0
+    files = [sorted((tmp_path / each).iterdir()) for each in "ab"]
+    assert len(files[0]) == 5  # four held-out views, and all on one sheet
+    assert [each.read_bytes() for each in files[0]] == [each.read_bytes() for each in files[1]]
+    with Image.open(files[0][0]) as picture:
+        assert picture.size == (24, 24)

@@ -6,17 +6,19 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.cli import main
 from paper_artifact.files import REPOSITORY
 from paper_artifact.photos.exposure import even_out, fitted_exposures, to_shown
+from paper_artifact.photos.prepare import photographs_in, prepared, size_doubts
 from paper_artifact.photos.register import Registered
-from paper_artifact.photos.scene import _cropped, doubts, empty_colour, upright
+from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import fibonacci_cameras
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model
@@ -48,6 +50,14 @@ def model_of(cameras, points):
     )
 
 
+def centres_off(scene):
+    """How far distances between consecutive cameras of the mug are from the true ones, up to one scale."""
+    true = json.loads((MUG / "cameras.json").read_text())["centres"]
+    truth = np.diff([true[name] for name in scene.names], axis=0)
+    ratios = np.linalg.norm(np.diff(scene.camera_centres, axis=0), axis=1) / np.linalg.norm(truth, axis=1)
+    return ratios.std() / ratios.mean()
+
+
 def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys):
     pytest.importorskip("pycolmap")
     (tmp_path / "photos").mkdir()
@@ -65,15 +75,57 @@ def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys
     assert not list(tmp_path.glob(".*partial"))
     facts = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert np.allclose(facts["background"], 0.72, atol=0.1)  # the grey room
-    # The cameras stand as they truly stood, up to a similarity: compare ratios of distances.
-    true = json.loads((MUG / "cameras.json").read_text())["centres"]
-    truth = np.array([true[name] for name in scene.names])
-    ratios = np.linalg.norm(np.diff(scene.camera_centres, axis=0), axis=1) / np.linalg.norm(
-        np.diff(truth, axis=0), axis=1
-    )
-    assert ratios.std() < 0.03 * ratios.mean()
+    assert centres_off(scene) < 0.03  # the cameras stand as they truly stood
     assert main(words) == 0 and "8 photographs registered" in capsys.readouterr().out  # not made again
     assert main([*words, "--features", "500"]) == 1 and "holds a scene of other" in capsys.readouterr().err
+
+
+def test_upright_and_level_photographs_of_two_cameras_make_a_scene_of_one_size(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    (tmp_path / "photos").mkdir()
+    for index in range(30, 38):
+        name = f"mug_{index:02d}.jpg"
+        with Image.open(MUG / "photographs" / name) as picture:
+            if index in (31, 34, 36):  # on their side, as an upright phone's software leaves them
+                picture = picture.transpose(Image.Transpose.ROTATE_270)
+            if index in (32, 35):  # of another camera, wider and with fewer pixels
+                picture = picture.crop((0, 50, 600, 400)).resize((420, 245), Image.Resampling.LANCZOS)
+            picture.save(tmp_path / "photos" / name, quality=95)
+    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200", "--quiet"]
+    assert main([*words, "--features", "420"]) == 0
+    assert "8 photographs registered" in capsys.readouterr().out
+    scene = load_scene(tmp_path / "scene")
+    assert scene.images.shape[0] == 8 and scene.images.shape[3] > 1.6 * scene.images.shape[2] > 160
+    assert centres_off(scene) < 0.03
+
+
+def test_photographs_are_turned_to_one_format_and_up_is_known(tmp_path):
+    picture = np.zeros((30, 40, 3), np.uint8)
+    picture[:10] = 255  # bright on top
+    exif = Image.Exif()
+    turns = {1: 0, 3: 2, 6: 1, 8: 3}  # quarters, counter-clockwise, from how it stands to how it is stored
+    (tmp_path / "in").mkdir()
+    for tag, turn in turns.items():
+        exif[ExifTags.Base.Orientation] = tag
+        for kind, shown in (("level", picture), ("tall", np.pad(picture[:, :24], ((0, 4), (0, 0), (0, 0))))):
+            Image.fromarray(np.rot90(shown, turn)).save(tmp_path / "in" / f"{kind}{tag}.png", exif=exif)
+    Image.fromarray(picture).save(tmp_path / "in" / "plain.png")
+    ready = prepared(photographs_in(tmp_path / "in"), tmp_path / "out", 100, False)
+    assert sum(ready.groups, []) and ready.sizes == {(40, 30): 5, (34, 24): 4}
+    assert {len(group) for group in ready.groups} == {5, 4}
+    for name, (x, y) in ready.up.items():
+        with Image.open(tmp_path / "out" / name) as stored:
+            assert stored.width > stored.height and stored.getexif().get(ExifTags.Base.Orientation) is None
+            light = np.asarray(stored.convert("L"), float)
+        row, column = (np.average(index, weights=light) for index in np.indices(light.shape))
+        towards = np.array([column / light.shape[1], row / light.shape[0]]) - 0.5
+        assert towards @ (x, y) > 0.2 and abs(towards @ (y, -x)) < 0.05, name
+
+
+def test_sizes_that_have_little_in_common_are_told():
+    assert size_doubts({(4000, 3000): 9, (4000, 2250): 3}, 800) == []
+    (told,) = size_doubts({(4000, 3000): 9, (400, 300): 1}, 800)
+    assert "4000×3000 (9), 400×300 (1), of which about 400×300 is common" in told
 
 
 def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path, capsys):
@@ -127,7 +179,22 @@ def test_the_scene_stands_upright_and_looks_the_same():
             true.images.items(), (Rotation.from_matrix(c.rotation) for c in cameras), strict=True
         )
     }
+    # One picture lies on its side, its top to the left.
+    side = Rotation.from_euler("z", -90, degrees=True)
+    first = replace(
+        bent[0],
+        quaternion=tuple(
+            (side * Rotation.from_quat(bent[0].quaternion, scalar_first=True)).as_quat(scalar_first=True)
+        ),
+        translation=tuple(side.apply(bent[0].translation)),
+    )
+    lying = Model(
+        true.cameras, bent | {0: first}, true.point_ids, turn.apply(points), true.colours, true.errors
+    )
+    told = upright(lying, {"0.png": (-1.0, 0.0)})
     turned = upright(Model(true.cameras, bent, true.point_ids, turn.apply(points), true.colours, true.errors))
+    assert np.allclose(told.positions, turned.positions)
+    assert not np.allclose(upright(lying).positions, turned.positions, atol=0.1)
     up = sum(-turned.camera(index).rotation[1] for index in turned.images)
     assert np.allclose(up[:2], 0, atol=1e-9) and up[2] > 0
     for index in true.images:
@@ -151,12 +218,29 @@ def test_pictures_of_several_sizes_are_cropped_and_the_empty_part_is_found(tmp_p
         middle = slice(camera.height // 2 - 20, camera.height // 2 + 20)
         pixels[middle, camera.width // 2 - 20 : camera.width // 2 + 20] = 255
         Image.fromarray(pixels).save(tmp_path / "in" / f"{index}.png")
-    cropped = _cropped(model, tmp_path / "in", tmp_path / "out")
+    cropped = _of_one_size(model, tmp_path / "in", tmp_path / "out")
     assert {(c.width, c.height) for c in cropped.cameras.values()} == {(96, 96)}
     assert cropped.cameras[0].parameters[2:] == (48.0, 48.0)
     pictures = [np.asarray(Image.open(tmp_path / "out" / f"{index}.png")) for index in range(3)]
     assert all((each == pictures[1]).all() for each in pictures)
     assert np.allclose(empty_colour(cropped, tmp_path / "out"), np.array((20, 120, 220)) / 255, atol=0.01)
+
+
+def test_a_smaller_size_is_scaled_to_before_it_is_cropped(tmp_path):
+    cameras = list(fibonacci_cameras(make_shape("sphere"), 6, 96)[1:3])
+    model = model_of(cameras, stream(0, "points").normal(size=(9, 3)))
+    (tmp_path / "in").mkdir(), (tmp_path / "out").mkdir()
+    focal = model.cameras[0].parameters[0]
+    model.cameras[0] = Intrinsics("PINHOLE", 200, 160, (focal, 2 * focal, 100.0, 80.0))
+    ramp = np.linspace(0, 240, 200).astype(np.uint8)[None, :, None]
+    Image.fromarray(np.broadcast_to(ramp, (160, 200, 3)).copy()).save(tmp_path / "in" / "0.png")
+    Image.new("RGB", (96, 96)).save(tmp_path / "in" / "1.png")
+    made = _of_one_size(model, tmp_path / "in", tmp_path / "out")
+    # 200×160 → 120×96 → the middle 96 columns: .6 of every length, 12 columns less.
+    assert np.allclose(made.cameras[0].parameters, (0.6 * focal, 1.2 * focal, 48.0, 48.0))
+    assert made.cameras[1] == model.cameras[1]
+    row = np.asarray(Image.open(tmp_path / "out" / "0.png"), float)[48, :, 0]
+    assert np.allclose(row, 240 * ((np.arange(96) + 0.5 + 12) / 0.6 - 0.5) / 199, atol=1.5)
 
 
 def test_exposures_are_found_and_evened_out(tmp_path):

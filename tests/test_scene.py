@@ -193,7 +193,7 @@ def deepen_one(folder):
             "view_004.png is damaged or no image",
         ),
         (cut_one, "view_004.png is damaged or no image"),
-        (shrink_one, "mixes images of 12×12 and 24×24"),
+        (shrink_one, r"several sizes, 24×24 \(\d+\), 12×12 \(1\), .*photos"),
         (widen_one, "60×24 pixels, another aspect"),
         (deepen_one, "convert it to 8-bit RGB"),
         (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),

@@ -115,13 +115,29 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
             {"frames": [{"file_path": "gone", "transform_matrix": np.eye(4).tolist()}] * 2},
             "gone, which is not there",
         ),
+        ({"frames": [{"file_path": "9" * 5000, "transform_matrix": np.eye(4).tolist()}] * 2}, "cannot be"),
         ({"frames": [{"file_path": "train/r_0", "transform_matrix": [[0] * 4] * 4}] * 2}, "is no pose"),
+        (
+            {"frames": [{"file_path": "train/r_0", "transform_matrix": np.diag([1, 1, -1, 1]).tolist()}] * 2},
+            "is no pose",  # but a mirror
+        ),
+        ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
+        ({"w": 1e-300, "fl_x": 70.0}, "are none of a camera of 60 pixels"),
     ],
 )
 def test_bad_files(folder, tmp_path, values, message):
     with pytest.raises(InputError, match=message):
         transforms_scene(changed(folder, **values), tmp_path / "bad")
     assert not (tmp_path / "bad").exists()
+
+
+def test_images_of_several_sizes(folder, tmp_path):
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    with Image.open(folder / "train" / "r_3.png") as image:
+        image.crop((0, 0, 60, 40)).save(folder / "train" / "cut.png")
+    frames[3]["file_path"] = "train/cut"
+    with pytest.raises(InputError, match=r"changed.json lists .* sizes, 60×60 \(13\), 60×40 \(1\); bring"):
+        transforms_scene(changed(folder, frames=frames), tmp_path / "bad")
 
 
 def test_outlines_that_contradict_one_another_and_opaque_images(folder, tmp_path):

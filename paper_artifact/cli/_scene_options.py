@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 from typing import Any
 
 from paper_artifact.config import GivenConfig, with_changes
@@ -61,6 +63,35 @@ def reading_of_scene(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--{' and --'.join(said)} belong to --scene DIR; give the scene's folder too")
     with_changes(GivenConfig(), said)
     return said
+
+
+def reading_of_run(arguments: argparse.Namespace, soup: Path) -> dict[str, Any]:
+    """Return `reading_of_scene`; what was not given is taken from the run's record, where there is one.
+
+    The record of soups/NAME.npz is runs/NAME.json beside it. What is taken is told in one line on stderr, and
+    so is a record of another scene, of which nothing is. Raises InputError also for a damaged record.
+    """
+    said = reading_of_scene(arguments)
+    file = soup.parent.parent / "runs" / f"{soup.stem}.json"
+    if arguments.scene is None or not file.is_file():
+        return said
+    from paper_artifact.record.store import config_of, read_record
+    from paper_artifact.scene.folder import scene_digest, scene_root
+
+    given, default = config_of(read_record(file)).given, GivenConfig()
+    values = {name: getattr(given, name) for name in READING} if given is not None else {}
+    taken = {name: value for name, value in values.items() if value != getattr(default, name)}
+    taken = {name: value for name, value in taken.items() if name not in said}
+    if given is None or not taken:
+        return said
+    words = " ".join(
+        f"--{name} {value:g}" if name == "downscale" else f"--{name} {value}" for name, value in taken.items()
+    )
+    if given.digest != scene_digest(scene_root(arguments.scene)):
+        print(f"{file} is of another scene than {arguments.scene}: its {words} not taken", file=sys.stderr)
+        return said
+    print(f"{words}, as the run was trained ({file}); give others to change that", file=sys.stderr)
+    return said | taken
 
 
 def given_of(arguments: argparse.Namespace) -> GivenConfig | None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_scene
+from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_run
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
 from paper_artifact.files import write_json
@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scene",
         type=Path,
         metavar="DIR",
-        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only)",
+        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only); it is read as the run's "
+        "record beside the soup (../runs) has it, unless the next options are given",
     )
     add_reading_arguments(parser)
     parser.add_argument(
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.target is None and (arguments.scene is None or not is_soup):
         raise InputError("give --target SHAPE|MESH, or --scene DIR for a soup of photographs")
     truth = None if arguments.target is None else find_mesh(arguments.target)
-    settings = reading_of_scene(arguments)
+    settings = reading_of_run(arguments, arguments.surface)
     draws = stream(arguments.seed, "evaluation samples")
     images = None
     if is_soup:

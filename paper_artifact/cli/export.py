@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_scene
+from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_run
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS
 
@@ -45,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="render the held-out views of this COLMAP scene, photographs above, and open the HTML view at "
-        "its first camera (default: views around the soup)",
+        "its first camera (default: views around the soup); it is read as the run's record beside "
+        "the soup (../runs) has it, unless the next options are given",
     )
     add_reading_arguments(parser)
     parser.add_argument("--views", type=int, default=4, help="renders without --scene (default: %(default)s)")
@@ -63,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.export.viewer import write_html
     from paper_artifact.soup.state import load_frame, load_soup
 
-    settings = reading_of_scene(arguments)
+    settings = reading_of_run(arguments, arguments.soup)
     soup = load_soup(arguments.soup)
     frame = load_frame(arguments.soup)
     triangles = soup_triangles(soup)
@@ -84,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
             from paper_artifact.scene.find import find_mesh
 
             parts["ground truth"] = mesh_triangles(find_mesh(arguments.target).framed(frame))
-        write_html(path_of("html"), parts, arguments.soup.stem, _viewpoint(arguments, triangles))
+        write_html(path_of("html"), parts, arguments.soup.stem, _viewpoint(arguments, triangles, settings))
     if "png" in arguments.formats:
         from paper_artifact.export.images import sheet, write_png
         from paper_artifact.export.renders import orbit_renders, scene_renders
@@ -102,13 +103,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _viewpoint(arguments: argparse.Namespace, triangles: Triangles) -> Viewpoint | None:
+def _viewpoint(
+    arguments: argparse.Namespace, triangles: Triangles, settings: dict[str, Any]
+) -> Viewpoint | None:
     """Where the HTML view opens: at the scene's first camera, as the study shows that shape, or anywhere."""
     from paper_artifact.catalogue import SHAPES
     from paper_artifact.export.viewpoint import scene_viewpoint, shape_viewpoint
     from paper_artifact.scene.load import load_scene
 
     if arguments.scene is not None:
-        return scene_viewpoint(load_scene(arguments.scene, **reading_of_scene(arguments)))
+        return scene_viewpoint(load_scene(arguments.scene, **settings))
     row = next((each for each in SHAPES if each.name == arguments.target), None)
     return row and shape_viewpoint(row, triangles.visible().vertices.reshape(-1, 3))

@@ -1,8 +1,7 @@
-"""A folder of photographs → COLMAP scene: scaled, registered (`register`), cropped to one size, checked.
+"""A folder of photographs → COLMAP scene: scaled, registered (`register`), brought to one size, checked.
 
-The photographs' EXIF orientation is ignored: structure from motion does not care, and a phone's upright and
-level pictures stay one camera with one size. The scene's frame is turned so that +z is up in the mean
-picture.
+The trainer has one size for all views: others are scaled and cropped to what is common. The scene's frame is
+turned so that +z is up in the mean picture, as its EXIF orientation has it (`prepare` does not apply that).
 """
 
 from __future__ import annotations
@@ -10,34 +9,31 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image
+from PIL import Image
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
 from paper_artifact.photos.exposure import even_out
-from paper_artifact.photos.register import HINTS, LEAST, Registered, need_pycolmap, register
+from paper_artifact.photos.prepare import LEVEL, QUALITY, photographs_in, prepared, size_doubts
+from paper_artifact.photos.register import HINTS, Registered, need_pycolmap, register
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.holdout import AUTO
-from paper_artifact.scene.images import IMAGE_FORMATS
 from paper_artifact.scene.whole import holds, whole_folder
 
-FORMAT = 1  # raised whenever the same photographs would give another scene
-ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
-QUALITY = 95  # of JPEG files written between photograph and scene
+FORMAT = 2  # raised whenever the same photographs would give another scene
 LARGEST_ERROR = 1.5  # pixels of reprojection above which a model is doubtful
 FEWEST_POINTS = 300  # of the cloud, below which a model is doubtful
+CROPPED_ALONE = 0.9  # a picture that would be scaled by more than this is cropped only, which blurs nothing
 
 
 @dataclass(frozen=True)
@@ -53,28 +49,6 @@ class PhotosConfig:
             value = getattr(self, name)
             if not 64 <= value <= 16384:
                 raise InputError(f"--{name} must be from 64 to 16384 pixels, got {value}")
-
-
-def photographs_in(folder: Path | str) -> tuple[Path, ...]:
-    """Return the pictures in a folder, by name. Raises InputError for no folder or fewer than three
-    pictures."""
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"no folder at {folder}; give the folder that holds the photographs")
-    files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
-    photographs = tuple(each for each in files if each.suffix.lower() in ENDINGS)
-    if len(photographs) < LEAST:
-        others = sorted({each.suffix.lower() for each in files} - {*ENDINGS, ""})
-        seen = f" (it also has {', '.join(others)}: convert them to JPEG)" if others else ""
-        raise InputError(
-            f"{folder} has {len(photographs)} photographs of the kinds {' '.join(ENDINGS)}{seen}; "
-            f"at least {LEAST} are needed, 20 to 100 are good"
-        )
-    stems = [each.stem for each in photographs]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-    if twice:
-        raise InputError(f"{folder} has two photographs called {twice[0]}; give each a name of its own")
-    return photographs
 
 
 def photographs_scene(
@@ -100,13 +74,15 @@ def photographs_scene(
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
         work = temporary / "work"
-        groups = _prepared(photographs, work / "pictures", config.features, progress)
-        found = register(work / "pictures", groups, work, config.size, progress)
+        ready = prepared(photographs, work / "pictures", config.features, progress)
+        for doubt in size_doubts(ready.sizes, config.size):
+            tell(doubt)
+        found = register(work / "pictures", ready.groups, work, config.size, progress)
         for doubt in doubts(found, [each.stem + ".jpg" for each in photographs]):
             tell(doubt)
-        model = upright(read_model(found.folder / "sparse"))
+        model = upright(read_model(found.folder / "sparse"), ready.up)
         (temporary / "images").mkdir()
-        model = _cropped(model, found.folder / "images", temporary / "images")
+        model = _of_one_size(model, found.folder / "images", temporary / "images")
         if config.even:
             even_out(temporary / "images", found.exposures)
         write_model(model, temporary / "sparse" / "0")
@@ -148,10 +124,17 @@ def doubts(found: Registered, names: Sequence[str]) -> list[str]:
     return result
 
 
-def upright(model: Model) -> Model:
-    """Return the model turned about the origin so that the mean of the pictures' up directions is +z."""
+def upright(model: Model, up_of: Mapping[str, tuple[float, float]] | None = None) -> Model:
+    """Return the model turned about the origin so that the mean of the pictures' up directions is +z.
+
+    up_of: where up is in a picture, by its name: x to the right, y down, `LEVEL` for those not named.
+    """
     rotations = {index: _rotation(pose.quaternion) for index, pose in model.images.items()}
-    up = -sum(each.as_matrix()[1] for each in rotations.values())  # a row of R is a camera axis in the world
+    up = np.zeros(3)
+    for index, rotation in rotations.items():
+        x, y = (up_of or {}).get(model.images[index].name, LEVEL)
+        right, down, _ = rotation.as_matrix()  # a row of R is a camera axis in the world
+        up += x * right + y * down
     if np.linalg.norm(up) < 1e-6 * len(rotations):
         return model
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
@@ -175,60 +158,36 @@ def _key(photographs: Sequence[Path], config: PhotosConfig) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bool) -> list[list[str]]:
-    """Write the photographs as JPEG of at most `size` pixels a side to `folder`; return their names by
-    camera.
+def _of_one_size(model: Model, source: Path, target: Path) -> Model:
+    """Write the model's pictures to `target`, all of the smallest width and height among them.
 
-    Photographs of one size, camera and focal length (EXIF) are of one camera.
-    """
-    folder.mkdir(parents=True)
-    cameras: dict[tuple, list[str]] = defaultdict(list)
-    for file in tqdm(photographs, desc="reading", unit="photo", disable=not progress):
-        try:
-            with Image.open(file, formats=IMAGE_FORMATS) as opened:
-                exif = opened.getexif()
-                own = exif.get_ifd(ExifTags.IFD.Exif)
-                exif.pop(ExifTags.Base.Orientation, None)
-                opened.draft("RGB", (size, size))
-                picture = opened.convert("RGB")
-            picture.thumbnail((size, size), Image.Resampling.LANCZOS)
-            target = folder / f"{file.stem}.jpg"
-            picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
-        except Exception as error:  # PIL's decoders raise whatever their decoding meets
-            raise InputError(f"{file} is damaged or no photograph ({error}); leave it out") from error
-        focal = str(own.get(ExifTags.Base.FocalLength))
-        cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)
-    if len({size[0] >= size[1] for size, *_ in cameras}) > 1:
-        raise InputError(
-            f"{photographs[0].parent} mixes upright and level pictures; turn them all to one format"
-        )
-    return list(cameras.values())
-
-
-def _cropped(model: Model, source: Path, target: Path) -> Model:
-    """Write the model's pictures to `target`, cropped about their middle to the smallest size among them.
-
-    Returns the model with cameras that fit.
+    Each is scaled down to cover that, unless hardly, and cropped about its middle. Returns the model with
+    cameras that fit.
     """
     width = min(camera.width for camera in model.cameras.values())
     height = min(camera.height for camera in model.cameras.values())
-    corners = {
-        index: ((camera.width - width) // 2, (camera.height - height) // 2)
-        for index, camera in model.cameras.items()
-    }
-    cameras = {}
+    cameras, boxes = {}, {}
     for index, camera in model.cameras.items():
+        scale = max(width / camera.width, height / camera.height)
+        scale = 1.0 if scale > CROPPED_ALONE else scale
+        across, down = max(width, round(scale * camera.width)), max(height, round(scale * camera.height))
+        left, top = (across - width) // 2, (down - height) // 2
+        ratios = across / camera.width, down / camera.height
         *focal, x, y = camera.parameters
-        moved = (*focal, x - corners[index][0], y - corners[index][1])
+        fitting = [value * ratio for value, ratio in zip(focal, ratios, strict=True)]
+        moved = (*fitting, x * ratios[0] - left, y * ratios[1] - top)
         cameras[index] = replace(camera, width=width, height=height, parameters=moved)
+        boxes[index] = (across, down), (left, top, left + width, top + height)
     for pose in model.images.values():
-        whole, (left, top) = model.cameras[pose.camera], corners[pose.camera]
+        whole, (scaled, box) = model.cameras[pose.camera], boxes[pose.camera]
         if (whole.width, whole.height) == (width, height):
             shutil.copyfile(source / pose.name, target / pose.name)
             continue
-        with Image.open(source / pose.name) as picture:
-            box = (left, top, left + width, top + height)
-            picture.convert("RGB").crop(box).save(target / pose.name, quality=QUALITY, subsampling=0)
+        with Image.open(source / pose.name) as read:
+            picture = read.convert("RGB")
+        if scaled != picture.size:
+            picture = picture.resize(scaled, Image.Resampling.LANCZOS)
+        picture.crop(box).save(target / pose.name, quality=QUALITY, subsampling=0)
     return replace(model, cameras=cameras)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,8 +34,8 @@ def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None
     same size, white where the picture counts and black where it does not, grey in between. Raises InputError
     for what is no 8-bit image, another aspect, or a mask of another size.
     """
-    picture = _opened(data, file)
-    if picture.mode in TRANSPARENT or "transparency" in picture.info:
+    picture = _decoded(data, file)
+    if has_transparency(picture):
         both = np.asarray(picture.convert("RGBA"))
         colours, alpha = both[..., :3], both[..., 3]
     else:
@@ -44,7 +46,7 @@ def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
     if mask is not None:
-        kept = np.asarray(_opened(mask.read_bytes(), mask).convert("L"))
+        kept = np.asarray(_decoded(mask.read_bytes(), mask).convert("L"))
         if kept.shape != colours.shape[:2]:
             raise InputError(
                 f"the mask {mask} has {kept.shape[1]}×{kept.shape[0]} pixels, its photograph "
@@ -107,24 +109,43 @@ def read_file(file: Path) -> bytes:
         raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
 
 
-def _opened(data: bytes, file: Path) -> Image.Image:
-    """Return the decoded picture; InputError when it is damaged or deeper than 8 bit."""
+def _decoded(data: bytes, file: Path) -> Image.Image:
+    with opened(io.BytesIO(data), file) as picture:
+        picture.load()
+        return picture.copy()
+
+
+@contextmanager
+def opened(source: Path | io.BytesIO, file: Path) -> Iterator[Image.Image]:
+    """Yield the picture in `source`, not yet decoded, for a block that decodes it.
+
+    Raises InputError, which names `file`, for more than MOST_PIXELS, for pixels deeper than 8 bit, and for
+    whatever goes wrong in the block.
+    """
     try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as opened,
-        ):
-            width, height = opened.size
+        with warnings.catch_warnings(action="ignore"), Image.open(source, formats=IMAGE_FORMATS) as picture:
+            width, height = picture.size
             if width * height > MOST_PIXELS:
                 raise InputError(
                     f"{file} has {width}×{height} pixels, too many to be a photograph; scale it down"
                 )
-            if opened.mode not in TRANSPARENT + OPAQUE:
-                raise InputError(f"{file} has pixels of type {opened.mode}; convert it to 8-bit RGB")
-            opened.load()
-            return opened.copy()
+            if picture.mode not in TRANSPARENT + OPAQUE:
+                raise InputError(f"{file} has pixels of type {picture.mode}; convert it to 8-bit RGB")
+            yield picture
     except InputError:
         raise
     except Exception as error:  # PIL's decoders raise whatever their decoding meets
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{file} is damaged or no image ({reason}); copy it again") from error
+
+
+def has_transparency(picture: Image.Image) -> bool:
+    """Return whether a picture has an alpha channel, or a colour that stands for one."""
+    return picture.mode in TRANSPARENT or "transparency" in picture.info
+
+
+def sizes_told(sizes: Mapping[tuple[int, int], int]) -> str:
+    """Return sizes (width, height) in words, with how many pictures have each, the most frequent first."""
+    ranked = sorted(sizes.items(), key=lambda item: (-item[1], item[0]))
+    more = f" and {len(ranked) - 6} more" if len(ranked) > 6 else ""
+    return ", ".join(f"{width}×{height} ({count})" for (width, height), count in ranked[:6]) + more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.folder import GROUND_TRUTH, check_files, model_folder, read_description, scene_root
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.holdout import AUTO, EVERY, held_out
-from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels
+from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels, sizes_told
 
 MEAN = "mean"  # as a background: the mean colour of the photographs
 
@@ -96,12 +97,17 @@ def load_scene(
     first = composited(pixels(0), colour, downscale)
     images = np.empty((len(names), *first.shape), np.uint8)
     images[0] = first
+    sizes = Counter([first.shape[:0:-1]])
     for view in range(1, len(names)):
         image = composited(pixels(view), colour, downscale)
-        if image.shape != first.shape:
-            (h0, w0), (h1, w1) = sorted([first.shape[1:], image.shape[1:]])
-            raise InputError(f"{path} mixes images of {w0}×{h0} and {w1}×{h1} pixels; bring them to one size")
-        images[view] = image
+        sizes[image.shape[:0:-1]] += 1
+        if len(sizes) == 1:
+            images[view] = image
+    if len(sizes) > 1:
+        raise InputError(
+            f"{path} mixes images of several sizes, {sizes_told(sizes)}, and training takes one: give the "
+            "photographs to `python -m paper_artifact photos`, which brings them to one"
+        )
     return Scene(
         path=path,
         names=names,

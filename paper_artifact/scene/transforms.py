@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,11 +23,11 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import inside, load_json, write_json
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
-from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.colmap import FARTHEST, LARGEST, Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.hull import hull_cloud, view_box
-from paper_artifact.scene.images import IMAGE_FORMATS, MOST_PIXELS
+from paper_artifact.scene.images import has_transparency, opened, sizes_told
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same file would give another scene
@@ -34,6 +35,8 @@ CLOUDS = ("hull", "random")
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")  # tried after a frame's file_path, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
+SHORTEST, LONGEST = 0.01, 1e4  # focal lengths of real cameras, in widths of the image
+RIGHT_ANGLED = 0.1  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,9 @@ def transforms_scene(
     """
     folder, config = Path(folder), config or TransformsConfig()
     frames = read_transforms(file, config.views)
+    sizes = Counter((camera.width, camera.height) for _, camera in frames)
+    if len(sizes) > 1:
+        raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; bring them to one size")
     key = _key(Path(file), frames, config)
     if holds(folder, key):
         return folder
@@ -110,13 +116,17 @@ def transforms_scene(
         for index, (path, camera) in enumerate(
             tqdm(frames, desc="images", unit="view", disable=not progress)
         ):
-            image = _opened(path)
+            with opened(path, path) as read:
+                image = read.convert("RGBA" if has_transparency(read) else "RGB")
             image.thumbnail((config.size, config.size), Image.Resampling.LANCZOS)
             image.save(temporary / "images" / f"{index:05d}.png")
             cameras.append(_resized(camera, *image.size))
             alpha = np.asarray(image.getchannel("A")) if image.mode == "RGBA" else None
             masks.append(None if alpha is None else alpha >= OPAQUE)
-        points = _cloud(cameras, masks, config)
+        try:
+            points = _cloud(cameras, masks, config)
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from error
         write_model(_model(cameras, points), temporary / "sparse" / "0")
         description = {
             "format": FORMAT,
@@ -132,12 +142,21 @@ def transforms_scene(
 
 def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) -> tuple[Path, Camera]:
     """Return a frame's image file and its camera; `matrix` is camera → world."""
-    path = next((p for p in (inside(file.parent, name + end) for end in ENDINGS) if p.is_file()), None)
+    try:
+        path = next((p for p in (inside(file.parent, name + end) for end in ENDINGS) if p.is_file()), None)
+    except OSError as error:  # a name that no file system takes
+        raise InputError(
+            f"{file} lists an image that cannot be: {error.strerror}; export it again"
+        ) from error
     if path is None:
         raise InputError(f"{file} lists the image {name}, which is not there; copy the images too")
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-9:
+    if matrix.shape != (4, 4) or not np.abs(matrix).max() < FARTHEST:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
-    width, height = _opened(path, size_only=True).size
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
+    if np.linalg.det(axes) < RIGHT_ANGLED:
+        raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
+    with opened(path, path) as image:
+        width, height = image.size
     focal_x = values.get("fl_x") or (
         width / 2 / np.tan(values["camera_angle_x"] / 2) if 0 < values.get("camera_angle_x", 0) < np.pi else 0
     )
@@ -146,7 +165,6 @@ def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) 
     scale = width / values["w"] if values.get("w") else 1.0
     if not values.get("fl_x"):
         scale = 1.0
-    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     rotation = np.diag([1.0, -1.0, -1.0]) @ axes.T  # y up, z backward → y down, z forward
     camera = Camera(
         width=width,
@@ -158,23 +176,13 @@ def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) 
         quaternion=tuple(map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))),
         translation=tuple(map(float, -rotation @ matrix[:3, 3])),
     )
+    focal, centre = (camera.focal_x, camera.focal_y), (camera.centre_x, camera.centre_y)
+    if not all(SHORTEST < each / width < LONGEST for each in focal) or not np.abs(centre).max() < LARGEST:
+        raise InputError(
+            f"{file}: focal lengths {focal[0]:.4g}, {focal[1]:.4g} and centre {centre[0]:.4g}, "
+            f"{centre[1]:.4g} are none of a camera of {width} pixels; export it again"
+        )
     return path, camera
-
-
-def _opened(path: Path, size_only: bool = False) -> Image.Image:
-    """Return the image, RGB or RGBA; size_only: unread, its size is known."""
-    try:
-        with Image.open(path, formats=IMAGE_FORMATS) as image:
-            if image.width * image.height > MOST_PIXELS:
-                raise InputError(f"{path} has {image.width}×{image.height} pixels, too many; scale it down")
-            if size_only:
-                return image
-            clear = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
-            return image.convert("RGBA" if clear else "RGB")
-    except InputError:
-        raise
-    except Exception as error:  # PIL's decoders raise whatever their decoding meets
-        raise InputError(f"{path} is damaged or no image; copy it again") from error
 
 
 def _resized(camera: Camera, width: int, height: int) -> Camera:
