@@ -105,7 +105,7 @@ def measure_photographs(
     progress: Callable[[str], None] | None = None, seeds: Sequence[int] = SEEDS, picture: Path = PICTURE
 ) -> pd.DataFrame:
     """Return one row per arm and seed: the photographs registered anew (pycolmap), trained, held against the
-    mug, and made solid; writes the picture of README of the last arm's first seed.
+    mug, and made solid; writes README's picture, of the first of them.
 
     Distances are divided by the mug's diagonal, the counts are of 20,000 samples of what the soup has inside
     the mug's box and above the table. psnr: one ray a pixel, as in records; psnr_rays: RAYS × RAYS.
@@ -133,7 +133,7 @@ def measure_photographs(
                 solid = solidify_soup(soup.select(_subject(scene, soup)), BETTI, OFFSETS)
                 row = {"condition": condition, "seed": seed} | _against_the_mug(scene, soup)
                 rows.append(row | _scores(scene, soup, record) | _of_the_solid(scene, solid))
-                if seed == seeds[0]:
+                if len(rows) == 1:
                     write_bytes(picture, _strip(scene, soup, solid))
     return pd.DataFrame(rows)
 
