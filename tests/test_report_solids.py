@@ -60,7 +60,7 @@ def test_tables_say_what_there_is(table):
 
 def test_ways_are_compared_over_the_runs_that_all_have(table):
     peers = pd.DataFrame(
-        [{"shape": "torus", "condition": arm, "seed": 0, "way": "voxels", "passes": True,
+        [{"shape": "torus", "condition": arm, "seed": 0, "way": "voxels", "passes": True, "genus": 1,
           "meets": arm == "C1", "chamfer": 0.01} for arm in ("C0", "C1", "C2")]
     )  # fmt: skip
     ways = solids.ways_table(table, peers)
@@ -68,7 +68,27 @@ def test_ways_are_compared_over_the_runs_that_all_have(table):
     assert ways.loc[("offset 0.008", "C0"), "wanted topology"] == 0
     assert ways.loc[("offset 0.008", "C2"), "wanted topology"] == 0, "not tried: coarser ones had failed"
     assert ways.loc[("offset chosen", "C0"), "Chamfer % where wanted"] == "0.40"
+    assert (
+        ways.loc[("voxels", "C2"), "right genus"] == 1
+        and ways.loc[("offset 0.008", "C0"), "right genus"] == 0
+    )
     assert len(solids.ways_table(table, pd.DataFrame())) == 6, "no peer measured"
+
+
+def test_every_soup_of_the_solids_was_given_to_the_other_ways():
+    stored, peers = measured.read("solids"), measured.read("solid_peers")
+    runs = set(stored[solids.RUN].itertuples(index=False, name=None))
+    assert set(peers["way"]) == set(solid_peers.WAYS)
+    assert solid_peers.truth_table(peers)["shapes"].eq(len(solids.shapes_of_solids())).all()
+    for _, own in peers[peers["condition"] != solid_peers.TRUTH].groupby("way"):
+        assert not own.duplicated(solids.RUN).any()
+        assert set(own[solids.RUN].itertuples(index=False, name=None)) == runs
+    found = [tuple(row) for row in peers[["b0", "b1", "b2"]].to_numpy()]
+    wanted = [solids.wanted_for(shape).betti for shape in peers["shape"]]
+    same = np.array([one == other for one, other in zip(found, wanted, strict=True)])
+    assert (peers["meets"] == (same & peers["passes"])).all() and peers["chamfer"].gt(0).all()
+    ways = solids.ways_table(stored, peers)
+    assert ways["runs"].eq(15).all() and (ways["wanted topology"] <= ways["right genus"]).all()
 
 
 def test_an_open_ground_truth_asks_for_a_thick_shell():

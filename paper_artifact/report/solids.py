@@ -28,7 +28,7 @@ from paper_artifact.report.kit.records import RETRAINED
 from paper_artifact.scene.find import find_mesh, surface
 from paper_artifact.soup.state import load_soup
 
-ARMS = ("C0", "C1", "C2")
+ARMS = ("C0", "C1", "C2", "T1", "T2")
 CSV = RESULTS / "measured" / "solids.csv"
 HOPELESS = 20  # handles beyond the wanted ones: finer offsets only have more
 FIXED = 0.008  # the offset of a user who wants nothing, the default of `ingest`
@@ -213,7 +213,8 @@ def pays_table(solids: pd.DataFrame) -> pd.DataFrame:
 
 def ways_table(solids: pd.DataFrame, peers: pd.DataFrame) -> pd.DataFrame:
     """Return per way and arm, over the runs that all ways have: how many solids have the wanted topology,
-    how many pass their certificate at all, and the median Chamfer (percent of D) of all and of right ones.
+    the right genus, a certificate that passes, and the median Chamfer (percent of D) of all and of right
+    ones. The genus is that of all pieces together.
 
     The offset is chosen by what is wanted; the same at one fixed offset, .008, and the other ways know
     nothing of it.
@@ -221,21 +222,24 @@ def ways_table(solids: pd.DataFrame, peers: pd.DataFrame) -> pd.DataFrame:
     offset = solids.assign(passes=True)
     chosen = offset.sort_values("taken").groupby(RUN, as_index=False).last()
     chosen = chosen.assign(way="offset chosen", meets=chosen["taken"], passes=chosen["taken"])
+    chosen["genus"] = chosen["genus"].where(chosen["taken"].astype(bool))
     # Where it was not tried, coarser ones had failed.
-    fixed = offset[offset["offset"] == FIXED].set_index(RUN)["meets"]
-    fixed = (
-        chosen.assign(way=f"offset {FIXED:g}", chamfer=np.nan, passes=True).set_index(RUN).assign(meets=fixed)
-    )
-    fixed = fixed.reset_index().assign(meets=lambda table: table["meets"].fillna(False).astype(bool))
+    fixed = offset[offset["offset"] == FIXED].set_index(RUN)[["meets", "genus"]]
+    fixed = fixed.reindex(pd.MultiIndex.from_frame(chosen[RUN])).reset_index()
+    fixed = fixed.assign(way=f"offset {FIXED:g}", passes=True, meets=fixed["meets"].eq(True))
     both = pd.concat([chosen, fixed, peers], ignore_index=True)
     ways = both["way"].nunique()
     both = both[both.groupby(RUN)["way"].transform("nunique") == ways]
+    wanted = both["shape"].map(lambda shape: wanted_for(shape).betti[1] // 2)
+    both = both.assign(genus_right=both["genus"] == wanted)
     rows = {}
-    for (way, arm), own in both.groupby(["way", "condition"], sort=False):
+    place = both["way"].map({way: i for i, way in enumerate(both["way"].unique())})
+    for (_, arm), own in both.groupby([place, "condition"]):
         right = own["meets"].astype(bool)
-        rows[way, arm] = {
+        rows[own["way"].iloc[0], arm] = {
             "runs": len(own),
             "wanted topology": int(right.sum()),
+            "right genus": int(own["genus_right"].sum()),
             "closed manifold": int(own["passes"].astype(bool).sum()),
             "Chamfer %": _percent(own["chamfer"]),
             "Chamfer % where wanted": _percent(own["chamfer"][right]),
@@ -254,7 +258,7 @@ def offsets_figure(solids: pd.DataFrame) -> Figure:
     axis, offsets = axes[0][0], smallest_offsets(solids)
     shapes = list(dict.fromkeys(offsets.index.get_level_values("shape")))
     edge = 1.3 * solids["offset"].max()
-    for shift, arm in zip((-0.2, 0.0, 0.2), offsets.columns, strict=False):
+    for shift, arm in zip(np.linspace(-0.3, 0.3, offsets.columns.size), offsets.columns, strict=True):
         values = offsets[arm].dropna()
         places = [shapes.index(shape) + shift for shape in values.index.get_level_values("shape")]
         none = np.isinf(values.to_numpy())
