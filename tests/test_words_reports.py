@@ -59,6 +59,18 @@ def test_words_are_judged_by_the_papers_rule():
     assert len(words.outcome_figure(RUNS).axes) == 1
 
 
+def test_what_reaches_beyond_the_target_is_told():
+    runs = study(C0=(0.06,), C1=(0.01,), T1=(0.02,), T2=(0.02,))
+    deaths = {"C0": 0.1, "C1": 0.2, "T1": 0.25, "T2": 0.208}
+    for record in runs.records:
+        arm = record["config"]["condition"]
+        record["dumps"] = [{"bars": [[], [], [[0.0, 0.05], [0.01, deaths[arm]]]]}]
+        record["bundle"] = {"bars": [[], [], [[0.01, 0.2]]]} if arm == "C1" else None
+    table = words.reach_table(Collected(runs.records, (("torus", "T1", 0),)))
+    assert table.loc["sphere"].tolist() == ["0.50", "1.00", "1.25", "1.04", "T1"]
+    assert set(table.loc["torus"]) == {"not recorded", ""}
+
+
 def test_an_ablation_stands_beside_the_same_seeds():
     ablated = Collected(
         (recorded("sphere", "T1, pull=8.0", 0, 0.05, loss={"pull": 8.0}),), (("sphere", "T1, rho=1.0", 0),)

@@ -8,6 +8,7 @@ are told apart, the others are the test. Every function works while runs are mis
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -33,6 +34,7 @@ from paper_artifact.study.verdict import BASELINE, CONTROLS, LOSS, Verdict, verd
 WORDS = ("T1", "T2")
 DESIGNS = (LOSS, *WORDS)
 DEVISED = ("double_torus", "eight")
+BEYOND = 1.05  # of the target's death: what is longer in every seed went too far
 STUDIES = ("table1", "table2", "bowls")  # whose C0, C1, C2 the words stand beside
 # Seconds of topology per run that the design was to stay within: {(design, M): seconds}.
 AIMS = {("T1", 2048): 7, ("T2", 2048): 12, ("T2", 8192): 30}
@@ -161,6 +163,33 @@ def outcome_figure(runs: Collected) -> Figure:
     axis.set_xlim(-0.6, len(shapes) - 0.4)
     legend_below(figure)
     return figure
+
+
+def reach_table(runs: Collected) -> pd.DataFrame:
+    """Return per shape how far each arm's longest bar of the judged dimension reaches at the end: its death
+    over that of the target's longest bar, seed by seed, and whether words go beyond what C1 aims at (1)."""
+    rows: dict[str, dict[str, str]] = {}
+    for shape in frames.shapes(runs):
+        targets = [record for record in runs.of(shape, LOSS) if "bundle" in record]
+        row = {}
+        for arm in (BASELINE, *DESIGNS):
+            reached = [_longest(r["dumps"][-1]["bars"], r) for r in runs.of(shape, arm) if r["dumps"]]
+            if not targets or not reached:
+                row[arm] = NOT_RECORDED
+                continue
+            aimed = _longest(targets[0]["bundle"]["bars"], targets[0])
+            row[arm] = " ".join(f"{death / aimed:.2f}" for death in reached)
+            if arm in WORDS and min(reached) > BEYOND * aimed:
+                row["beyond"] = ", ".join(filter(None, (row.get("beyond", ""), arm)))
+        rows[shape] = {"beyond": "", **row}
+    table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("shape")
+    return table[[arm for arm in (BASELINE, *DESIGNS, "beyond") if arm in table]]
+
+
+def _longest(bars: Sequence[Sequence[Sequence[float]]], record: Mapping) -> float:
+    """Return the death of the longest bar of the record's judged dimension, / the diagonal."""
+    own = bars[record["mesh"]["dimension"]]
+    return max(own, key=lambda bar: bar[1] - bar[0])[1]
 
 
 def ablation_table(runs: Collected, ablated: Collected) -> pd.DataFrame:

@@ -136,6 +136,7 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         # the default guard is .5: without one the longest bars are wanted, noise or not
         Block((*PAIR, "horse", "pot", "rocker-arm"), WORDS, range(3), loss={"guard": 0.0}),
         Block(("pot",), WORDS, range(3), loss={"dimensions": (2,)}),  # where C1 acts on it
+        Block(("pot",), ("T1",), range(3), loss={"aim": "smoothed"}),  # where the pull goes too far
     ),
     "lies": tuple(  # one class too many or too few in each dimension, and no loop at all
         Block(shapes, WORDS, range(1), loss={"betti": betti})
