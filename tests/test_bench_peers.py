@@ -16,7 +16,8 @@ from paper_artifact.bench import peers, words_task
 from paper_artifact.cli import bench
 from paper_artifact.errors import InputError
 from paper_artifact.report import measured
-from paper_artifact.report.peers import peers_machine, peers_table
+from paper_artifact.report.peers import peers_machine, peers_table, with_machine
+from paper_artifact.report.peers_task import task_machine, task_table
 
 NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topological.nn")
 SMALL = words_task.Task("a small hole", lambda: words_task.slab(200), (1, 1, 0), 1, 8e-3, steps=40)
@@ -225,7 +226,7 @@ def test_everyone_is_given_the_same_task(stand_ins):
     """Our loss and the one of tensors agree; a library that computes the same takes our steps."""
     points = torch.tensor(SMALL.cloud())
     loss = words_task.BettiLoss(SMALL.betti, diagonal=1.0, guard=0.0, suppress="all", dimensions=(1,))
-    both = [loss(points), words_task.words_loss(peers.our_diagrams, points, SMALL)]
+    both = [loss(points), words_task.words_loss(peers.our_diagrams, SMALL, points)]
     assert both[0].item() == pytest.approx(both[1].item(), rel=1e-9)
     missing = []
     rows = list(words_task.task_rows((SMALL,), words_task.PEERS[:1], missing))
@@ -238,3 +239,10 @@ def test_everyone_is_given_the_same_task(stand_ins):
     assert not missing and rows[0]["step"] == rows[2]["step"] == rows[3]["step"] > 0
     assert rows[0]["ratio"] == 1 and rows[3]["seconds"] > 0
     assert not words_task.holds(SMALL.cloud(), SMALL)
+    stopped = rows[3] | {"step": None, "taken": 7, "ratio": None, "load": 1.0}
+    stored = with_machine([row | {"load": 1.0} for row in rows[:3]] + [stopped], ["no TopologyLayer"])
+    table = task_table(stored).loc[SMALL.name].reset_index()
+    held = table["words hold from step"]
+    assert (held[0], held[2], held[3]) == (str(rows[0]["step"]), str(rows[2]["step"]), "not in 7")
+    assert table["times BettiLoss"].iloc[0] == "1.0" and table["CPU s"].iloc[3].startswith("stopped at ")
+    assert "no TopologyLayer" in task_machine(stored)

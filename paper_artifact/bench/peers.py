@@ -16,6 +16,7 @@ import importlib
 import importlib.util
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 
@@ -110,6 +111,17 @@ def why_missing(peer: Peer) -> str | None:
     return None
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch use one thread inside, and as many as before afterwards."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 def loss_and_gradient(diagrams: Diagrams, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return (diagram of dimension 1 (k,2), gradient (M,3), forward, backward) at `points` (M,3).
 
@@ -155,14 +167,10 @@ def peer_rows(
     for cloud in clouds:
         able = [peer for peer in peers if lines[peer.name] is None]
         for size in sorted(sizes):
-            threads = torch.get_num_threads()
-            torch.set_num_threads(1)
-            try:
+            with one_thread():
                 rows = _measure(
                     cloud, size, repetitions if size <= 4096 else min(repetitions, 3), able, missing
                 )
-            finally:
-                torch.set_num_threads(threads)
             yield from rows
             slow = {row["library"]: row["ms"] for row in rows[1:] if row["ms"] > 1e3 * SLOW}
             if size < max(sizes):
@@ -197,7 +205,9 @@ def _measure(
             "cloud": cloud,
             "M": size,
             "library": name,
-            "version": _versions(named[name].distributions) if name in named else paper_artifact.__version__,
+            "version": version_text(named[name].distributions)
+            if name in named
+            else paper_artifact.__version__,
             "forward_ms": forward,
             "backward_ms": backward,
             "ms": 1e3 * float(np.median(np.sum(each, axis=1))),
@@ -242,7 +252,7 @@ def gradient_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     )
 
 
-def _versions(distributions: Sequence[str]) -> str:
+def version_text(distributions: Sequence[str]) -> str:
     """Return "0.9.39", or "0.9.39, diode 1.2.2" where more than one matters."""
     found = []
     for name in distributions:

@@ -12,13 +12,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.bench.peers import OURS, PEERS, Diagrams, Peer, our_diagrams, why_missing
+from paper_artifact.bench.peers import (
+    OURS,
+    PEERS,
+    Diagrams,
+    Peer,
+    one_thread,
+    our_diagrams,
+    version_text,
+    why_missing,
+)
 from paper_artifact.randomness import stream
 from paper_artifact.topology.betti import BettiLoss
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, median_spacing
@@ -26,11 +36,13 @@ from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, median_
 PULL, EVERY = 2.0, 5  # median spacings; steps between two questions whether the words hold
 PATIENCE = 60.0  # CPU seconds after which a library is stopped
 
+Loss = Callable[[Tensor], Tensor]
+
 
 def _topology_layer_diagrams(points: Tensor) -> list[Tensor]:
     from topologylayer.nn import AlphaLayer
 
-    found = [each / 2 for each in AlphaLayer(maxdim=2)(points)[0]]
+    found = [each / 2 for each in AlphaLayer(maxdim=2)(points.float())[0]]  # it reads float32 alone
     return [each[torch.isfinite(each).all(dim=1)] for each in found]
 
 
@@ -79,7 +91,7 @@ TASKS = (
 )
 
 
-def words_loss(diagrams: Diagrams, points: Tensor, task: Task) -> Tensor:
+def words_loss(diagrams: Diagrams, task: Task, points: Tensor) -> Tensor:
     """Return T2's loss (scalar) of `points` (n,3) in the task's dimension, made of a library's diagrams."""
     bars = diagrams(points)[task.dimension]
     wanted = task.betti[task.dimension] - (task.dimension == 0)
@@ -97,8 +109,12 @@ def holds(points: np.ndarray, task: Task) -> bool:
     return significant == task.betti[task.dimension] - (task.dimension == 0)
 
 
-def descend(loss: Callable[[Tensor], Tensor], task: Task) -> tuple[int | None, float, int]:
-    """Return (step at which the words hold or None, CPU seconds of the steps, steps taken)."""
+def descend(make: Callable[[], Loss], task: Task) -> tuple[int | None, float, int]:
+    """Return (step at which the words hold or None, CPU seconds of the steps, steps taken), after an
+    uncounted pass over a third of the points."""
+    some = torch.tensor(task.cloud()[::3], requires_grad=True)
+    make()(some).backward()
+    loss = make()
     points = torch.tensor(task.cloud(), requires_grad=True)
     optimiser, spent, step = torch.optim.Adam([points], lr=task.rate), 0.0, 0
     for step in range(task.steps + 1):
@@ -119,27 +135,30 @@ def task_rows(
 ) -> Iterator[dict]:
     """Yield, for each task, a row for `BettiLoss`, for our diagrams and for each peer that runs.
 
-    Keys: task, library, step (None: the words never held), seconds (CPU, of the steps), ms (per step), ratio
-    (seconds over BettiLoss's; None where either did not reach them). A line for each peer that does not run
-    is appended to `missing`.
+    Keys: task, library, version (of a peer), step (None: the words never held), taken (steps), seconds (CPU,
+    of the steps), ms (per step), ratio (seconds over BettiLoss's; None where either did not reach them). A
+    line for each peer that does not run is appended to `missing`.
     """
     missing = [] if missing is None else missing
     lines = {peer.name: why_missing(peer) for peer in peers}
     missing += [line for line in lines.values() if line]
+    versions = {peer.name: version_text(peer.distributions) for peer in peers}
     for task in tasks:
         settings = {"guard": 0.0, "suppress": "all", "dimensions": (task.dimension,), "pull": PULL}
-        losses: dict[str, Callable[[Tensor], Tensor]] = {
-            f"{OURS}, BettiLoss": BettiLoss(task.betti, diagonal=1.0, refresh_every=1, **settings),
-            f"{OURS}, BettiLoss, K = 10": BettiLoss(task.betti, diagonal=1.0, **settings),
+        betti_loss = partial(BettiLoss, task.betti, diagonal=1.0, **settings)
+        losses: dict[str, Callable[[], Loss]] = {
+            f"{OURS}, BettiLoss": partial(betti_loss, refresh_every=1),
+            f"{OURS}, BettiLoss, K = 10": betti_loss,
         }
         for name, diagrams in [(f"{OURS}, diagrams", our_diagrams)] + [
             (peer.name, peer.diagrams) for peer in peers if lines[peer.name] is None
         ]:
-            losses[name] = lambda points, diagrams=diagrams, task=task: words_loss(diagrams, points, task)
+            losses[name] = partial(partial, words_loss, diagrams, task)
         ours: float | None = None
-        for place, (name, loss) in enumerate(losses.items()):
+        for place, (name, make) in enumerate(losses.items()):
             try:
-                step, seconds, taken = descend(loss, task)
+                with one_thread():
+                    step, seconds, taken = descend(make, task)
             except Exception as error:  # a peer's own failure is a finding, not ours
                 if name.startswith(OURS):
                     raise
@@ -151,7 +170,9 @@ def task_rows(
             yield {
                 "task": task.name,
                 "library": name,
+                "version": versions.get(name),
                 "step": step,
+                "taken": taken,
                 "seconds": seconds,
                 "ms": 1e3 * seconds / max(1, taken),
                 "ratio": None if step is None or not ours else seconds / ours,

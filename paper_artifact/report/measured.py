@@ -64,6 +64,10 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
     ),
+    "peers_task": (
+        "measure_peers_task",
+        "time until clouds have Betti numbers in words, beside oineus.diff, torch-topological, TopologyLayer",
+    ),
     "solids": (
         "measure_solids",
         "solids of the final soups by offset (--soups DIR, else trains what is missing): topology, Chamfer",

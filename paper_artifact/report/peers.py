@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 import torch
 
-from paper_artifact.bench.peers import OURS, PEERS, SIZES, peer_rows, why_missing
+from paper_artifact.bench.peers import OURS, PEERS, SIZES, Peer, peer_rows, why_missing
 from paper_artifact.errors import InputError
 from paper_artifact.record.environment import host, packages
 
@@ -29,14 +29,29 @@ def measure_peers(
     Raises InputError, with the line that installs it, when a peer is missing: a stored table must not lose
     one unnoticed.
     """
-    missing = [line for line in map(why_missing, PEERS) if line]
-    if missing:
-        raise InputError("; ".join(missing))
+    require(PEERS)
     rows, notes = [], []
     for row in peer_rows(sizes, repetitions=repetitions, missing=notes):
-        rows.append(row | {"load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else 0.0})
+        rows.append(row | {"load": load_now()})
         if progress is not None:
             progress(f"{row['cloud']}, M = {row['M']}: {row['library']}")
+    return with_machine(rows, notes)
+
+
+def require(peers: Sequence[Peer]) -> None:
+    """Raise InputError, with the lines that install them, where peers do not import."""
+    missing = [line for line in map(why_missing, peers) if line]
+    if missing:
+        raise InputError("; ".join(missing))
+
+
+def load_now() -> float:
+    """Return the machine's 1-minute load average, 0 where the system has none."""
+    return round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else 0.0
+
+
+def with_machine(rows: Sequence[dict], notes: Sequence[str]) -> pd.DataFrame:
+    """Return the rows as a table with the machine, the versions and `notes` on what was not measured."""
     return pd.DataFrame(rows).assign(
         cpu=host()["cpu"],
         python=platform.python_version(),
