@@ -222,6 +222,15 @@ def test_the_stored_table_says_who_computes_the_same():
     ) and "torch-topological: not measured on torus beyond M = 2048" in peers_machine(stored)
 
 
+def test_the_stored_task_has_every_library_and_the_same_diagrams_take_the_same_steps():
+    stored = measured.read("peers_task")
+    for _, own in stored.groupby("task"):
+        steps = own.set_index("library")["step"]
+        assert set(steps.index) > {"oineus.diff", "torch-topological", "TopologyLayer"}
+        assert steps["oineus.diff"] == steps["paper_artifact, diagrams"] == steps["paper_artifact, BettiLoss"]
+    assert stored["task"].nunique() == 2 and len(task_table(stored)) == len(stored)
+
+
 def test_everyone_is_given_the_same_task(stand_ins):
     """Our loss and the one of tensors agree; a library that computes the same takes our steps."""
     points = torch.tensor(SMALL.cloud())

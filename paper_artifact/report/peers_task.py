@@ -1,4 +1,4 @@
-"""Notebook 17, once measured: Betti numbers in words with other libraries' diagrams, and how long each takes.
+"""Notebook 17: Betti numbers in words with other libraries' diagrams, and how long each takes.
 
 Measured by `bench.words_task` in a side environment (README, "Beside other libraries"); the table reads the
 file and needs no peer.
