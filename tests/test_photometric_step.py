@@ -18,10 +18,15 @@ from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.step import PhotometricStep
 from paper_artifact.raster.threads import one_torch_thread, set_thread_count, thread_count
 from paper_artifact.raster.view import ViewRaster, make_camera, to_clip
-from paper_artifact.scene.load import Scene
+from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.cameras import CAMERA_DISTANCE, FAR, NEAR
+from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
+from paper_artifact.train.loop import train
 from tests.raster_cases import BACKGROUND, cameras, distance, doubles, front_camera, soup_arrays
+from tests.tiny_run import STEPS, tiny_config
 
 HEIGHT, WIDTH, BATCH = 45, 62, 3
 NAMES = ("vertices", "features", "opacity", "w1", "c1", "w2", "c2", "w3", "c3")
@@ -158,6 +163,56 @@ def test_a_triangle_whose_plane_has_w_infinite_in_the_image_has_the_twins_gradie
         case = Case(soup, matrix[None], images, [view_key(1, key, 0)])
         assert case.flips() == 0
         check_against_twin(case)
+
+
+@one_torch_thread()
+def test_the_edge_gradient_of_a_trained_soup_is_the_twins_where_float32_depths_decide_alike(tmp_path):
+    """A trained surface is sheets that all but touch. Which lies in front, and whether two cross between two
+    pixels, hangs there on the last bits of NDC depth, and such a crossing pulls with 1 / (difference of the
+    slopes). Those few triangles are found by the twin alone: corners moved by what float32 depths do not
+    resolve change its own gradient."""
+    build_scene(make_shape("torus"), SceneConfig(views=8, size=64, points=2000), tmp_path / "scene")
+    scene = load_scene(tmp_path / "scene")
+    soup = train(scene, tiny_config(dump_steps=()), device="cpu").soup.drawn()
+    views = scene.train[:4]
+    images = scene.images[views] / np.float32(255)
+    case = Case(soup, scene.world_to_clip[views], images, [view_key(0, STEPS + 1, int(v)) for v in views])
+    found, view, states = np.zeros_like(soup.vertices), ViewRaster(64, 64), []
+    for matrix, image, key in zip(case.matrices, case.images, case.keys, strict=True):
+        view.render(soup, make_camera(matrix), scene.background, key)
+        view.compare(make_target(image), len(views))
+        view.add_edge_gradient(matrix, found)
+        depth = view.surface.depth[: 64 * 64].reshape(64, 64)
+        states.append([each.copy() for each in (view.seen(), depth, view.colour, view.gradient)])
+    triangle, depth, colour, gradient = (
+        torch.from_numpy(np.stack(each)) for each in zip(*states, strict=True)
+    )
+    seen = case.raster()._replace(
+        triangle=triangle.long(), depth=torch.where(triangle > 0, depth, 0.0).double()
+    )  # the kernel's own: only the edges are compared
+    matrices = torch.from_numpy(case.matrices).double()
+
+    def edges(vertices: torch.Tensor) -> np.ndarray:
+        leaf = vertices.clone().requires_grad_()
+        twin.edge_gradient(colour.double(), leaf, seen, matrices).backward(gradient.double())
+        return leaf.grad.numpy()
+
+    def sizes(values: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(values.reshape(len(values), -1), axis=1)
+
+    vertices = torch.from_numpy(soup.vertices).double()
+    expected = edges(vertices)
+    # Two steps of float32 below 1 in NDC depth z = (far+near - 2 far near / w) / (far-near), as a length.
+    w = CAMERA_DISTANCE * scene.radius
+    step = 2 * 2**-24 * w**2 * (FAR - NEAR) / (2 * FAR * NEAR * scene.radius)
+    draws = stream(8, "what float32 depths do not resolve")
+    moves = [torch.from_numpy(draws.uniform(-step, step, vertices.shape)) for _ in range(6)]
+    moved = np.max([sizes(edges(vertices + move) - expected) for move in moves], axis=0)
+    off, norm = sizes(found - expected), np.linalg.norm(expected)
+    steady = moved < 1e-3 * norm
+    assert np.mean(steady) > 0.95
+    assert np.linalg.norm(off[steady]) < 1e-4 * np.linalg.norm(expected[steady])
+    assert (off <= moved + 1e-5 * norm).all()  # and the others are off by no more than that
 
 
 def flat_soup(vertices: np.ndarray, colours: np.ndarray, opacity: np.ndarray) -> SoupArrays:
