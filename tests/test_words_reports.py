@@ -141,7 +141,8 @@ def test_realism_and_the_five_lines():
     lines = words_hurt.advice(RUNS, lies(), troubled)
     assert len(lines) == 5 and "T1 passes on 1 of 1 shapes, T2 on 0 of 1 shapes" in lines[1]
     assert "say more, not fewer: too many classes harmed 0 of 1 runs, too few 1 of 1" in lines[3]
-    assert "with views=10 words are clearly below C0 in 1 of 2 cases" in lines[4]
+    assert "every seed is below C0's: C1 in 0 of 0, T1 in 1 of 1, T2 in 0 of 1 cases" in lines[4]
+    assert "double_torus not recorded" in lines[2] and "of 2 shapes; the mug's handle" in lines[4]
     nothing = Collected((), (("sphere", "T1", 0), ("double_torus", "T1", 0)))
     assert len(words_hurt.advice(nothing, nothing, nothing)) == 5 and words.outcome_text(nothing)
 

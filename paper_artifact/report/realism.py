@@ -19,7 +19,6 @@ from paper_artifact.report.words import WORDS
 from paper_artifact.study.verdict import BASELINE, LOSS
 
 AS_IT_IS = "clean, 48 views"
-FEWEST = "views=10"
 BROKEN = 1.5  # mean tail over the clean scene's beyond which a trouble counts as breaking the design
 ARMS = (BASELINE, LOSS, *WORDS)
 
@@ -90,20 +89,18 @@ def realism_text(realism: Collected, clean: Collected) -> str:
     return "\n".join(lines)
 
 
-def fewest_text(realism: Collected, clean: Collected) -> str:
-    """Return, for the fewest views, in how many of the cases (shape and design in words) every seed's tail is
-    below C0's."""
-    found = [
-        _clear(arms[arm], arms[BASELINE])
-        for shape in frames.shapes(realism)
-        for trouble, arms in _troubles(realism, clean, shape).items()
-        if trouble == FEWEST and BASELINE in arms
-        for arm in WORDS
-        if arm in arms
-    ]
-    if not found:
-        return NOT_RECORDED
-    return f"with {FEWEST} words are clearly below C0 in {sum(found)} of {len(found)} cases"
+def clear_text(realism: Collected, clean: Collected) -> str:
+    """Return per design in how many cases (shape and trouble) every seed's tail is below all of C0's."""
+    found: dict[str, list[bool]] = {arm: [] for arm in (LOSS, *WORDS)}
+    for shape in frames.shapes(realism):
+        for trouble, arms in _troubles(realism, clean, shape).items():
+            for arm, cases in found.items():
+                if trouble != AS_IT_IS and {arm, BASELINE} <= set(arms):
+                    cases.append(_clear(arms[arm], arms[BASELINE]))
+    if not any(found.values()):
+        return f"Real scenes' troubles: {NOT_RECORDED}"
+    said = ", ".join(f"{arm} in {sum(cases)} of {len(cases)}" for arm, cases in found.items())
+    return f"Under the troubles of real scenes every seed is below C0's: {said} cases"
 
 
 def _clear(own: Troubled, base: Troubled) -> bool:
