@@ -19,6 +19,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.photos.exposure import relative_exposures
 
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
+SEED = 0  # of COLMAP's RANSACs, which take a new one each time otherwise
 HINTS = (
     "take more photographs, each overlapping its neighbours by two thirds, in steps of at most 15 degrees; "
     "keep sharp ones of a scene that does not move, with texture on or around the object (a patterned "
@@ -57,7 +58,8 @@ def register(
 
     groups: file names, those of one camera (intrinsics are shared) in one group. size: longest side of an
     undistorted picture, pixels. SIFT features, exhaustive matching, incremental mapping with COLMAP's own
-    settings, camera model SIMPLE_RADIAL; of several models the largest. progress shows a bar per stage.
+    settings, camera model SIMPLE_RADIAL; of several models the largest. Every random choice is seeded: the
+    same pictures give the same model, with any number of threads. progress shows a bar per stage.
     Raises InputError when fewer than `LEAST` pictures register, or pycolmap is missing.
     """
     colmap = need_pycolmap()
@@ -72,9 +74,13 @@ def register(
         colmap.extract_features(database, pictures, image_names=[name])
     pairs = len(names) * (len(names) - 1) // 2
     with _watched("matching", "pair", pairs, lambda: _rows(database, "matches"), progress):
-        colmap.match_exhaustive(database)
+        verification = colmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = SEED
+        colmap.match_exhaustive(database, verification_options=verification)
     options = colmap.IncrementalPipelineOptions()
-    options.min_model_size, options.random_seed = LEAST, 0
+    options.min_model_size = LEAST
+    for seeded in (options, options.mapper, options.triangulation):
+        seeded.random_seed = SEED
     with tqdm(total=len(names), desc="mapping", unit="photo", disable=not progress) as bar:
         found = colmap.incremental_mapping(
             database,
