@@ -12,6 +12,7 @@ import torch
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.cli.solidify import offset_table
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup, write_solid
 from paper_artifact.ingest.closest import nearest_on
@@ -213,3 +214,15 @@ def test_the_verb_refuses_before_it_works(tmp_path: Path, capsys):
         assert cli.main(["solidify", str(tmp_path / "bad.npz"), *words]) == 1
         assert answer in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
+
+
+def test_what_to_try_next_lies_between_too_many_handles_and_too_few():
+    def solid(*genera):
+        rungs = [
+            Rung(0.02 + 0.01 * place, (1, 2 * genus, 1), genus, 0.4, 0, 0, (1, 1, 1))
+            for place, genus in enumerate(genera)
+        ]
+        return SoupSolid(tuple(rungs), wanted_of((1, 2, 1)), True, 1.0)
+
+    assert "--offsets 0.032,0.034,0.036,0.038, or" in offset_table(solid(9, 3, 0))
+    assert "--offsets 0.05,0.06,0.08,0.1,0.12, or" in offset_table(solid(9, 3, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -161,9 +162,8 @@ def offset_table(solid: SoupSolid) -> str:
     text = f"β = {solid.wanted.betti}, {kind}"
     if solid.rung is None:
         lines.append(
-            f"no offset gives {text}: no mesh is written; try larger ones, --offsets "
-            f"{','.join(f'{solid.rungs[-1].offset * factor:.2g}' for factor in (1.25, 1.5, 2, 2.5, 3))}, "
-            "or train further"
+            f"no offset gives {text}: no mesh is written; try --offsets "
+            f"{','.join(f'{offset:.3g}' for offset in _others(solid))}, or train further"
         )
     elif solid.stated:
         lines.append(f"ε = {solid.rung.offset:g} D is the smallest that gives {text}")
@@ -175,6 +175,17 @@ def offset_table(solid: SoupSolid) -> str:
     else:
         lines.append(f"nothing was wanted; {text}, lasts longest, from ε = {solid.rung.offset:g} D on")
     return "\n".join(lines)
+
+
+def _others(solid: SoupSolid) -> list[float]:
+    """Return offsets to try next: between two that have more and fewer handles than wanted, else larger
+    ones."""
+    wanted = solid.wanted.betti[1] // 2
+    for finer, coarser in pairwise(solid.rungs):
+        if finer.genus > wanted > coarser.genus:
+            step = (coarser.offset - finer.offset) / 5
+            return [finer.offset + step * part for part in range(1, 5)]
+    return [solid.rungs[-1].offset * factor for factor in (1.25, 1.5, 2, 2.5, 3)]
 
 
 def _numbers(text: str, kind: type, option: str) -> tuple:

@@ -105,7 +105,7 @@ def measure_photographs(
     progress: Callable[[str], None] | None = None, seeds: Sequence[int] = SEEDS, picture: Path = PICTURE
 ) -> pd.DataFrame:
     """Return one row per arm and seed: the photographs registered anew (pycolmap), trained, held against the
-    mug, and made solid; writes README's picture, of the first of them.
+    mug, and made solid; writes README's picture, of the first that has a solid.
 
     Distances are divided by the mug's diagonal, the counts are of 20,000 samples of what the soup has inside
     the mug's box and above the table. psnr: one ray a pixel, as in records; psnr_rays: RAYS × RAYS.
@@ -113,7 +113,7 @@ def measure_photographs(
     from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 
     tell = progress or (lambda text: None)
-    rows = []
+    rows, shown = [], False
     with TemporaryDirectory() as folder:
         scene, results = Path(folder) / "mug", Path(folder) / "results"
         tell("photographs: structure from motion")
@@ -133,7 +133,8 @@ def measure_photographs(
                 solid = solidify_soup(soup.select(_subject(scene, soup)), BETTI, OFFSETS)
                 row = {"condition": condition, "seed": seed} | _against_the_mug(scene, soup)
                 rows.append(row | _scores(scene, soup, record) | _of_the_solid(scene, solid))
-                if len(rows) == 1:
+                if solid.mesh is not None and not shown:
+                    shown = True
                     write_bytes(picture, _strip(scene, soup, solid))
     return pd.DataFrame(rows)
 
