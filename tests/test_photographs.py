@@ -78,14 +78,28 @@ def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys
     assert centres_off(scene) < 0.03  # the cameras stand as they truly stood
     assert main(words) == 0 and "8 photographs registered" in capsys.readouterr().out  # not made again
     assert main([*words, "--features", "500"]) == 1 and "holds a scene of other" in capsys.readouterr().err
-    # RANSACs are seeded: another time the same scene, bit for bit.
-    again = [str(tmp_path / "again") if word == str(tmp_path / "scene") else word for word in words]
-    assert main(again) == 0 and "8 photographs registered" in capsys.readouterr().out
-    files = [path for path in sorted((tmp_path / "scene").rglob("*")) if path.is_file()]
-    assert len(files) >= 12
-    for path in files:
-        twin = tmp_path / "again" / path.relative_to(tmp_path / "scene")
-        assert path.read_bytes() == twin.read_bytes(), path.name
+
+
+def test_every_random_choice_of_the_registration_is_seeded(tmp_path, monkeypatch):
+    colmap, seen = pytest.importorskip("pycolmap"), {}
+
+    def watched(name, real):
+        def call(*arguments, **words):
+            seen[name] = words
+            return real(*arguments, **words)
+
+        return call
+
+    for name in ("match_exhaustive", "incremental_mapping"):
+        monkeypatch.setattr(colmap, name, watched(name, getattr(colmap, name)))
+    (tmp_path / "photos").mkdir()
+    for index in (30, 31, 32, 33):
+        shutil.copy(MUG / "photographs" / f"mug_{index:02d}.jpg", tmp_path / "photos")
+    assert main(["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--quiet"]) == 0
+    options = seen["incremental_mapping"]["options"]
+    assert seen["match_exhaustive"]["verification_options"].ransac.random_seed == 0
+    assert options.random_seed == options.mapper.random_seed == options.triangulation.random_seed == 0
+    assert options.num_threads == options.mapper.num_threads == 1
 
 
 def test_upright_and_level_photographs_of_two_cameras_make_a_scene_of_one_size(tmp_path, capsys):

@@ -58,9 +58,9 @@ def register(
 
     groups: file names, those of one camera (intrinsics are shared) in one group. size: longest side of an
     undistorted picture, pixels. SIFT features, exhaustive matching, incremental mapping with COLMAP's own
-    settings, camera model SIMPLE_RADIAL; of several models the largest. Every random choice is seeded: the
-    same pictures give the same model, with any number of threads. progress shows a bar per stage.
-    Raises InputError when fewer than `LEAST` pictures register, or pycolmap is missing.
+    settings, camera model SIMPLE_RADIAL; of several models the largest. Every random choice is seeded.
+    progress shows a bar per stage. Raises InputError when fewer than `LEAST` pictures register, or pycolmap
+    is missing.
     """
     colmap = need_pycolmap()
     names = [name for group in groups for name in group]
@@ -81,6 +81,8 @@ def register(
     options.min_model_size = LEAST
     for seeded in (options, options.mapper, options.triangulation):
         seeded.random_seed = SEED
+    for summed in (options, options.mapper):  # threads add up in an order of their own; the time is the same
+        summed.num_threads = 1
     with tqdm(total=len(names), desc="mapping", unit="photo", disable=not progress) as bar:
         found = colmap.incremental_mapping(
             database,
