@@ -268,6 +268,12 @@ def run(
     return record
 
 
+def audit_remarks(record: dict, kind: str) -> list[str]:
+    """Return what a record's audit says of the words that its loss was given: its "warnings" or "notes"."""
+    audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
+    return [each for event in audits for each in event.get(kind, ())]
+
+
 def closing_notes(record: dict) -> list[str]:
     """Return `topology.statement.ended` of a record of a loss in words, nothing of another."""
     loss, said = config_of(record).loss, record.get("statement")

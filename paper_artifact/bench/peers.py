@@ -16,7 +16,6 @@ import importlib
 import importlib.util
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 
@@ -29,6 +28,7 @@ from paper_artifact.alpha.diagrams import alpha_diagrams
 from paper_artifact.bench.persistence import CLOUDS
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
+from paper_artifact.raster.threads import one_torch_thread
 
 OURS = "paper_artifact"
 LONGEST = 10  # bars that are compared
@@ -111,17 +111,6 @@ def why_missing(peer: Peer) -> str | None:
     return None
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch use one thread inside, and as many as before afterwards."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
 def loss_and_gradient(diagrams: Diagrams, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return (diagram of dimension 1 (k,2), gradient (M,3), forward, backward) at `points` (M,3).
 
@@ -167,7 +156,7 @@ def peer_rows(
     for cloud in clouds:
         able = [peer for peer in peers if lines[peer.name] is None]
         for size in sorted(sizes):
-            with one_thread():
+            with one_torch_thread():
                 rows = _measure(
                     cloud, size, repetitions if size <= 4096 else min(repetitions, 3), able, missing
                 )

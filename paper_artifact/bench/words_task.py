@@ -19,17 +19,9 @@ import torch
 from torch import Tensor
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.bench.peers import (
-    OURS,
-    PEERS,
-    Diagrams,
-    Peer,
-    one_thread,
-    our_diagrams,
-    version_text,
-    why_missing,
-)
+from paper_artifact.bench.peers import OURS, PEERS, Diagrams, Peer, our_diagrams, version_text, why_missing
 from paper_artifact.randomness import stream
+from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.topology.betti import BettiLoss
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, median_spacing
 
@@ -157,7 +149,7 @@ def task_rows(
         ours: float | None = None
         for place, (name, make) in enumerate(losses.items()):
             try:
-                with one_thread():
+                with one_torch_thread():
                     step, seconds, taken = descend(make, task)
             except Exception as error:  # a peer's own failure is a finding, not ours
                 if name.startswith(OURS):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paper_artifact.errors import InputError
-from paper_artifact.scene.subject import GROUND, RADIUS
+from paper_artifact.scene.subject import GROUND, RADIUS, subject_of_scene
 
 if TYPE_CHECKING:
     from paper_artifact.export.solid import SoupSolid
@@ -127,14 +127,8 @@ def _of_the_subject(soup: Soup, frame: Frame, arguments: argparse.Namespace) -> 
     """Return the triangles whose middle belongs to what the scene's cameras look at, and say how many."""
     import torch
 
-    from paper_artifact.scene.colmap import read_model
-    from paper_artifact.scene.folder import model_folder, scene_root
-    from paper_artifact.scene.subject import subject_of
-
-    model = read_model(model_folder(scene_root(arguments.scene)))
-    subject = subject_of(
-        [model.camera(image) for image in model.images],
-        model.positions,
+    subject = subject_of_scene(
+        arguments.scene,
         RADIUS if arguments.radius is None else arguments.radius,
         GROUND if arguments.ground is None else arguments.ground,
     )

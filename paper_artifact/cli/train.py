@@ -134,7 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from paper_artifact.cli._progress import tqdm
-    from paper_artifact.pipeline import closing_notes, results_of
+    from paper_artifact.pipeline import audit_remarks, closing_notes, results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
@@ -171,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
-    contradicted, notes = (remarks(record, kind) for kind in ("warnings", "notes"))
+    contradicted, notes = (audit_remarks(record, kind) for kind in ("warnings", "notes"))
     if contradicted and arguments.strict:  # of a run that is recorded, or was resumed behind its audit
         raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
     summary(record)
@@ -192,12 +192,6 @@ def run(arguments: argparse.Namespace) -> int:
         )
         print(f"next: python -m paper_artifact solidify {soup} --scene {scene}{said} --out mesh.ply")
     return 0
-
-
-def remarks(record: dict, kind: str) -> list[str]:
-    """Return what a record's audit says of the words that its loss was given: its "warnings" or "notes"."""
-    audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
-    return [each for event in audits for each in event.get(kind, ())]
 
 
 def summary(record: dict) -> None:

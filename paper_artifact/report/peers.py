@@ -83,12 +83,17 @@ def peers_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 def peers_machine(stored: pd.DataFrame) -> str:
     """Return the line that says where the stored times come from and what was left out."""
+    turns = f"medians of {stored['turns'].max()} turns, a peer that took longer than half a minute once"
+    return machine_text(stored, f", gudhi {stored['gudhi'].iloc[0]}; {turns}")
+
+
+def machine_text(stored: pd.DataFrame, how: str) -> str:
+    """Return the machine of a table made by `with_machine`, how it was measured and what was left out."""
     row, load = stored.iloc[0], stored["load"]
     left = f"; {row['not_measured']}" if isinstance(row["not_measured"], str) and row["not_measured"] else ""
     return (
-        f"{row['cpu']}, load {load.min()} to {load.max()}, one thread, "
-        f"Python {row['python']}, torch {row['torch']}, gudhi {row['gudhi']}; "
-        f"medians of {stored['turns'].max()} turns, a peer that took longer than half a minute once{left}"
+        f"{row['cpu']}, load {load.min()} to {load.max()}, one thread, Python {row['python']}, "
+        f"torch {row['torch']}{how}{left}"
     )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pandas as pd
 
 from paper_artifact.bench.words_task import TASK_PEERS, task_rows
-from paper_artifact.report.peers import load_now, require, with_machine
+from paper_artifact.report.peers import load_now, machine_text, require, with_machine
 
 
 def measure_peers_task(progress: Callable[[str], None] | None = None) -> pd.DataFrame:
@@ -48,9 +48,4 @@ def task_table(stored: pd.DataFrame) -> pd.DataFrame:
 
 def task_machine(stored: pd.DataFrame) -> str:
     """Return the line that says where the stored times come from and what was left out."""
-    row, load = stored.iloc[0], stored["load"]
-    left = f"; {row['not_measured']}" if isinstance(row["not_measured"], str) and row["not_measured"] else ""
-    return (
-        f"{row['cpu']}, load {load.min()} to {load.max()}, one thread, Python {row['python']}, "
-        f"torch {row['torch']}; one descent each{left}"
-    )
+    return machine_text(stored, "; one descent each")

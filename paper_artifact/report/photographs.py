@@ -27,7 +27,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.config import GivenConfig
 from paper_artifact.evaluate.align import Similarity, similarity
 from paper_artifact.evaluate.image import view_scores
-from paper_artifact.evaluate.scores import evaluate_samples, make_target, soup_samples
+from paper_artifact.evaluate.scores import Target, evaluate_samples, make_target, soup_samples
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup
 from paper_artifact.files import REPOSITORY, RESULTS, write_bytes
 from paper_artifact.ingest.closest import nearest_on
@@ -37,10 +37,9 @@ from paper_artifact.randomness import stream
 from paper_artifact.record.store import config_of, record_path
 from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.render import render_flat
-from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import read_model
-from paper_artifact.scene.load import load_scene
-from paper_artifact.scene.subject import subject_of
+from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.subject import Subject, subject_of_scene
 from paper_artifact.soup.render import render_views
 from paper_artifact.soup.state import Soup, load_soup
 
@@ -115,12 +114,14 @@ def measure_photographs(
     tell = progress or (lambda text: None)
     rows, shown = [], False
     with TemporaryDirectory() as folder:
-        scene, results = Path(folder) / "mug", Path(folder) / "results"
+        folder_of_scene, results = Path(folder) / "mug", Path(folder) / "results"
         tell("photographs: structure from motion")
-        photographs_scene(FOLDER / "photographs", scene, PhotosConfig(size=SIZE))
+        photographs_scene(FOLDER / "photographs", folder_of_scene, PhotosConfig(size=SIZE))
+        scene, subject = load_scene(folder_of_scene, holdout=HOLDOUT), subject_of_scene(folder_of_scene)
+        target, to_truth = make_target(mug(), cache=None), similarity(*_centres(folder_of_scene))
         for seed in seeds:
             for condition, loss in ARMS.items():
-                config = study_config(str(scene), condition, seed, loss=loss, **SETTINGS)
+                config = study_config(str(folder_of_scene), condition, seed, loss=loss, **SETTINGS)
                 config = replace(config, given=GivenConfig(holdout=HOLDOUT))
                 record = run(
                     config,
@@ -130,31 +131,29 @@ def measure_photographs(
                 )
                 stem = record_path(config_of(record), results / "runs", record["defaults"]).stem
                 soup = load_soup(results / "soups" / f"{stem}.npz")
-                solid = solidify_soup(soup.select(_subject(scene, soup)), BETTI, OFFSETS)
-                row = {"condition": condition, "seed": seed} | _against_the_mug(scene, soup)
-                rows.append(row | _scores(scene, soup, record) | _of_the_solid(scene, solid))
+                of_it = subject.holds(soup.vertices.numpy().mean(1))
+                solid = solidify_soup(soup.select(torch.from_numpy(np.flatnonzero(of_it))), BETTI, OFFSETS)
+                row = {"condition": condition, "seed": seed} | _against_the_mug(soup, target, to_truth)
+                rows.append(row | _scores(soup, scene, record) | _of_the_solid(solid, to_truth))
                 if solid.mesh is not None and not shown:
                     shown = True
-                    write_bytes(picture, _strip(scene, soup, solid))
+                    write_bytes(picture, _strip(soup, scene, solid, subject))
     return pd.DataFrame(rows)
 
 
-def _scores(scene: Path, soup: Soup, record: dict) -> dict[str, float]:
-    loaded = load_scene(scene, holdout=HOLDOUT)
-    finer = view_scores(soup, loaded, loaded.holdout, RAYS)
+def _scores(soup: Soup, scene: Scene, record: dict) -> dict[str, float]:
     return {
         "psnr": record["images"]["psnr"],
         "ssim": record["images"]["ssim"],
-        "psnr_rays": finer["psnr"],
+        "psnr_rays": view_scores(soup, scene, scene.holdout, RAYS)["psnr"],
         "triangles": len(soup),
         "cpu": record["cpu_seconds"],
     }
 
 
-def _against_the_mug(scene: Path, soup: Soup) -> dict[str, float]:
+def _against_the_mug(soup: Soup, target: Target, to_truth: Similarity) -> dict[str, float]:
     """Return Chamfer, Hausdorff95, counts and bottlenecks of what the soup has in the mug's box."""
-    target = make_target(mug(), cache=None)
-    corners = aligned_to(scene).apply(soup.vertices.detach().numpy())
+    corners = to_truth.apply(soup.vertices.detach().numpy())
     kept = _inside(corners.mean(1))
     samples = soup_samples(
         corners[kept], soup.corner_opacity()[kept], len(target.samples), stream(0, "mug samples")
@@ -170,14 +169,7 @@ def _against_the_mug(scene: Path, soup: Soup) -> dict[str, float]:
     }
 
 
-def _subject(scene: Path, soup: Soup) -> torch.Tensor:
-    """Return the indices of the triangles that are of what the cameras look at, as `solidify --scene`
-    does."""
-    subject = subject_of(*_model(scene))
-    return torch.from_numpy(np.flatnonzero(subject.holds(soup.vertices.numpy().mean(1))))
-
-
-def _of_the_solid(scene: Path, solid: SoupSolid) -> dict[str, Any]:
+def _of_the_solid(solid: SoupSolid, to_truth: Similarity) -> dict[str, Any]:
     """Return the smallest offset that gives the mug's topology (empty: none), the genus and components at
     every offset, and the solid's distance to the mug."""
     row: dict[str, Any] = {
@@ -188,33 +180,22 @@ def _of_the_solid(scene: Path, solid: SoupSolid) -> dict[str, Any]:
         "solid_chamfer": np.nan,
     }
     if solid.rung is not None and solid.mesh is not None:
-        aligned = replace(solid.mesh, vertices=aligned_to(scene).apply(solid.mesh.vertices))
+        aligned = replace(solid.mesh, vertices=to_truth.apply(solid.mesh.vertices))
         row |= {"solid_offset": solid.rung.offset, "solid_chamfer": distances_to(aligned, mug())["chamfer"]}
     return row
 
 
-def _strip(scene: Path, soup: Soup, solid: SoupSolid) -> bytes:
-    """Return a PNG: a photograph that was held out, the soup's render of it, and the solid."""
-    loaded = load_scene(scene, holdout=HOLDOUT)
-    view = loaded.holdout[SHOWN : SHOWN + 1]
-    photograph, render = loaded.colours(view)[0], render_views(soup, loaded, view, RAYS)[0]
-    pictures = [photograph, render]
-    if solid.mesh is not None and solid.colours is not None:
-        points, faces = solid.mesh.vertices, solid.mesh.faces
-        x, y, z = loaded.camera_centres[view[0]] - points.mean(0)
-        up = tuple(subject_of(*_model(scene)).up)
-        colours = np.minimum(1, 1.4 * solid.colours[faces].mean(1))
-        pictures.append(
-            render_flat(points, faces, len(photograph), direction=(x, y, z), up=up, material=colours)
-        )
-    strip, png = np.concatenate(pictures, axis=1).clip(0, 1), BytesIO()
+def _strip(soup: Soup, scene: Scene, solid: SoupSolid, subject: Subject) -> bytes:
+    """Return a PNG: a photograph that was held out, the soup's render of it, and its solid."""
+    assert solid.mesh is not None and solid.colours is not None
+    view, points, faces = scene.holdout[SHOWN : SHOWN + 1], solid.mesh.vertices, solid.mesh.faces
+    photograph, render = scene.colours(view)[0], render_views(soup, scene, view, RAYS)[0]
+    x, y, z = scene.camera_centres[view[0]] - points.mean(0)
+    up, colours = tuple(subject.up), np.minimum(1, 1.4 * solid.colours[faces].mean(1))
+    made = render_flat(points, faces, len(photograph), direction=(x, y, z), up=up, material=colours)
+    strip, png = np.concatenate([photograph, render, made], axis=1).clip(0, 1), BytesIO()
     Image.fromarray(np.rint(255 * strip).astype(np.uint8)).save(png, "PNG", optimize=True)
     return png.getvalue()
-
-
-def aligned_to(scene: Path) -> Similarity:
-    """Return the similarity from a scene of the mug's photographs to centimetres, by its camera centres."""
-    return similarity(*_centres(scene))
 
 
 def result_table(measured: pd.DataFrame) -> pd.DataFrame:
@@ -300,12 +281,6 @@ def _spread(values: pd.Series, form: str) -> str:
 def _triples(measured: pd.DataFrame, name: str, form: str) -> list[str]:
     columns = measured[[f"{name}_{k}" for k in range(3)]].to_numpy()
     return ["(" + ", ".join(format(value, form) for value in row) + ")" for row in columns]
-
-
-def _model(scene: Path) -> tuple[list[Camera], np.ndarray]:
-    """Return the cameras and the cloud (P,3) of a scene."""
-    model = read_model(scene / "sparse" / "0")
-    return [model.camera(image) for image in model.images], model.positions
 
 
 def _centres(scene: Path) -> tuple[np.ndarray, np.ndarray]:

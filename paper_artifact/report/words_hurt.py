@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 import pandas as pd
 
 from paper_artifact.catalogue import shape_row, tag_of
-from paper_artifact.pipeline import closing_notes
+from paper_artifact.pipeline import audit_remarks, closing_notes
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.text import NOT_RECORDED, short
 from paper_artifact.report.realism import clear_text
@@ -105,8 +105,9 @@ def _lie_groups(lies: Collected, truthful: Collected) -> dict[tuple[str, str], l
         if not found or true is None:
             continue
         ratio = found[0]["tails"]["bottleneck"][found[0]["mesh"]["dimension"]] / true["tail"]
+        warned = bool(audit_remarks(found[0], "warnings"))
         for kind in kinds(shape, _said(arm)):
-            groups.setdefault((tag_of(arm), kind), []).append((ratio, bool(_remarks(found[0], "warnings"))))
+            groups.setdefault((tag_of(arm), kind), []).append((ratio, warned))
     return groups
 
 
@@ -232,14 +233,9 @@ def _text(said: tuple[int, ...]) -> str:
     return ",".join(map(str, said))
 
 
-def _remarks(record: Mapping, kind: str) -> list[str]:
-    audits = [each for each in record.get("topology") or () if each["event"] == "audit"]
-    return [each for audit in audits for each in audit.get(kind, ())]
-
-
 def _count(record: Mapping, kind: str) -> str:
     word = {"warnings": "warned", "notes": "not seen yet"}[kind]
-    dims = [_subject(each) for each in _remarks(record, kind)]
+    dims = [_subject(each) for each in audit_remarks(record, kind)]
     return f"{word}: {', '.join(dims)}" if dims else ""
 
 

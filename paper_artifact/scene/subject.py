@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
+from paper_artifact.scene.colmap import read_model
+from paper_artifact.scene.folder import model_folder, scene_root
 
 RADIUS = 0.6  # of the ball, in half widths of the picture at the subject's distance
 GROUND = 0.03  # what lies lower than this above the plane is ground, in the same unit; 0 keeps the ground
@@ -36,12 +39,15 @@ class Subject:
         return near & (points @ self.up >= self.lowest)
 
 
+def subject_of_scene(scene: Path | str, radius: float = RADIUS, ground: float = GROUND) -> Subject:
+    """Return `subject_of` for the COLMAP scene in a folder, in the files' coordinates. Raises InputError also
+    for missing or damaged files."""
+    model = read_model(model_folder(scene_root(scene)))
+    return subject_of([model.camera(image) for image in model.images], model.positions, radius, ground)
+
+
 def subject_of(
-    cameras: Sequence[Camera],
-    cloud: np.ndarray,
-    radius: float = RADIUS,
-    ground: float = GROUND,
-    seed: int = 0,
+    cameras: Sequence[Camera], cloud: np.ndarray, radius: float = RADIUS, ground: float = GROUND
 ) -> Subject:
     """Return what the cameras look at; cloud (P,3) is the SfM cloud, radius and ground are in half widths of
     the picture at the subject's distance (means over the cameras).
@@ -69,14 +75,14 @@ def subject_of(
     up, lowest = np.array([0.0, 0.0, 1.0]), -np.inf
     if ground > 0:
         near = cloud[np.linalg.norm(cloud - centre, axis=1) <= width]
-        up, height = _plane(near.astype(np.float64), PLANE * width, seed)
+        up, height = _plane(near.astype(np.float64), PLANE * width)
         if (places @ up).mean() < height:
             up, height = -up, -height
         lowest = height + ground * width
     return Subject(centre, float(radius * width), up, float(lowest))
 
 
-def _plane(points: np.ndarray, near: float, seed: int) -> tuple[np.ndarray, float]:
+def _plane(points: np.ndarray, near: float) -> tuple[np.ndarray, float]:
     """Return normal n (3,) and height h of the plane n·x = h with the most of `points` (P,3) within `near`
     (RANSAC, Fischler and Bolles 1981; then least squares over those)."""
     if len(points) < 3:
@@ -84,7 +90,7 @@ def _plane(points: np.ndarray, near: float, seed: int) -> tuple[np.ndarray, floa
             f"the SfM cloud has {len(points)} points around what the cameras look at, too few for a ground "
             "plane; --ground 0 keeps the ground"
         )
-    random = stream(seed, "ground plane")
+    random = stream(0, "ground plane")
     triples = points[random.integers(0, len(points), (DRAWS, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
