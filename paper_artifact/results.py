@@ -1,0 +1,394 @@
+"""The run records as four tidy frames, and the paper's numbers as one more. Notebooks compute every table
+from these.
+
+    from paper_artifact import results
+
+    tables = results.load()                                # every committed record
+    runs = tables.of("table1")                             # one row per run of a study
+    runs.groupby(["shape", "condition"])["tail"].agg(["mean", "std", "size"])
+    results.published("1")                                 # the paper's Table 1
+
+Lengths are divided by the diagonal of the ground truth's bounding box; births and deaths are radii. A
+dimension is that of homology: 0 components, 1 loops, 2 voids; the judged one decides a shape's verdict
+(`catalogue.SHAPES`). A column whose name ends with _h0, _h1 or _h2 exists for each dimension. Shapes and
+conditions are ordered categories, in the catalogue's order. """
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from paper_artifact.catalogue import CONDITIONS, SHAPES, shape_row, study_config
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY, RESULTS, atomic_path
+from paper_artifact.record.store import read_record, recorded_path
+from paper_artifact.study.studies import STUDIES
+
+PUBLISHED = REPOSITORY / "results" / "published"  # committed, also where runs are written elsewhere
+MEASURED = REPOSITORY / "results" / "measured"  # one CSV per script of data_scripts/measure
+RETRAINED = RESULTS / "retrained"  # the profile "full" writes here
+TAIL_DUMPS = 3  # the dumps whose mean is a tail: at 2,500 steps those of steps 2300, 2400, 2500
+
+
+@dataclass(frozen=True)
+class Results:
+    """The four frames of a folder of records.
+
+    runs, one row per record: run (the record's file name without ".json"); shape, condition, seed, dimension
+    (judged), group; every setting of the run (steps, budget, views …), of its loss with the prefix loss_
+    (loss_rho, loss_samples …) and of its allocation prior with the prefix allocation_; NaN where a run has no
+    such part. Results: tail (mean bottleneck distance to the target in the judged dimension over the last
+    TAIL_DUMPS dumps) and tail_h0 … tail_h2; chamfer (mean of both directions, last dumps), hausdorff95; count
+    (significant bars at the end in the judged dimension; the infinite component is not counted) and count_h0
+    … count_h2; expected (the count of the shape's target bundle in the judged dimension, else of the mesh's
+    Betti numbers; NaN where neither is known); psnr (dB) and ssim over the held-out views; triangles. The
+    loss: lambda_peak, photo_norm, topo_norm (calibration); bundle_h0 … bundle_h2 (the target's bars (k,2));
+    statement (stated Betti numbers); events (list of the topology log's other entries). Ground truth:
+    diagonal (world units), floor, betti_h0 … betti_h2. Machine: cpu, cpu_seconds, seconds_* by stage (wall
+    time), peak_memory_mib.
+
+    dumps, one row per evaluation during training: run, shape, condition, seed, step, bottleneck and count
+    (judged dimension), bottleneck_h0 …, count_h0 …, bars_h0 … (arrays (k,2) of births and deaths; the
+    longest), floor, chamfer, hausdorff95, triangles. Step 0 is the soup before training, with bottleneck,
+    count and chamfer alone, where `measured/starts.csv` has it.
+
+    refreshes, one row per refresh of the plan and dimension: run, step, dimension, samples, floor (that
+    decides), live_floor, significant, matched, recruited, unreached, diagonal, gabriel_failures (counts of
+    bars), wanted and surplus (stated Betti numbers only), residual (the largest |live - target| over births
+    and deaths of matched and recruited bars; NaN without any), margins (list: lifetimes over the floor,
+    longest first; stated Betti numbers only).
+
+    studies, one row per run of a study: study, setting ("rho=0.03": what the block changes; "" for nothing),
+    shape, condition, seed, run (NaN where no record exists). """
+
+    runs: pd.DataFrame
+    dumps: pd.DataFrame
+    refreshes: pd.DataFrame
+    studies: pd.DataFrame
+    folder: Path  # of the records; soups lie in ../soups beside it
+
+    def of(self, *studies: str) -> pd.DataFrame:
+        """Return the runs of these studies, each run once, with the columns study and setting of the first
+        that has it.
+
+        Raises InputError for a study that does not exist.
+        """
+        unknown = [name for name in studies if name not in STUDIES]
+        if unknown:
+            raise InputError(f"unknown study {unknown[0]!r}; choose among {', '.join(STUDIES)}")
+        rows = pd.concat([self.studies[self.studies["study"] == name] for name in studies])
+        rows = rows.dropna(subset="run").drop_duplicates("run")[["study", "setting", "run"]]
+        return rows.merge(self.runs, on="run", validate="1:1")
+
+    def soup_path(self, run: str) -> Path:
+        """Return the path of a run's trained soup; not every soup is committed."""
+        return self.folder.parent / "soups" / f"{run}.npz"
+
+
+def load(profile: str = "recorded", studies: Iterable[str] = (), folder: Path = RESULTS / "runs") -> Results:
+    """Return the frames of the records in `folder`.
+
+    profile "recorded": the records as they are; prints one line for each of the named studies (default: all)
+    that lacks runs. "full": trains every run of the named studies into RETRAINED (hours; recorded ones there
+    are kept) and returns the frames of that folder. The first call reads JSON (half a minute for 926 records)
+    and stores the frames beside the records; later calls take a second. Raises InputError for a damaged
+    record, an unknown profile or study. """
+    names = tuple(studies) or tuple(STUDIES)
+    if profile not in ("recorded", "full"):
+        raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
+    if profile == "full":
+        folder = _retrain(names)
+    frames = _cached(folder)
+    for name, line in _missing(frames.studies[frames.studies["study"].isin(names)]):
+        print(f"{name}: {line}; python -m paper_artifact sweep {name} makes them")
+    return frames
+
+
+def _retrain(names: Iterable[str]) -> Path:
+    from paper_artifact.pipeline import run
+    from paper_artifact.scene.find import find_mesh
+
+    for name in names:
+        for block in STUDIES[name]:
+            for config in block.configs():
+                run(config, mesh=find_mesh(config.shape), results=RETRAINED)
+    return RETRAINED / "runs"
+
+
+def _missing(rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    for name, own in rows.groupby("study", sort=False):
+        absent = own[own["run"].isna()]
+        if len(absent):
+            arms = absent.groupby(["shape", "condition"], observed=True)["seed"].agg(list)
+            text = ", ".join(
+                f"{shape} {condition} seeds {seeds}" for (shape, condition), seeds in arms.items()
+            )
+            yield str(name), f"{len(absent)} of {len(own)} runs are not recorded: {text}"
+
+
+def _cached(folder: Path) -> Results:
+    """Return the frames, from the file that keeps them when no record and none of the code that makes them
+    has changed."""
+    paths = sorted(Path(folder).glob("[!.]*.json"))
+    states = [(path.name, state.st_size, state.st_mtime_ns) for path in paths for state in (path.stat(),)]
+    sources = [Path(__file__), MEASURED / "starts.csv"]
+    code = [source.read_bytes() for source in sources if source.is_file()]
+    key = hashlib.sha256(repr((states, code, str(STUDIES), pd.__version__)).encode()).hexdigest()[:16]
+    kept = Path(folder).parent / ".frames" / f"{key}.pickle"
+    if kept.is_file() and kept.stat().st_uid == os.getuid():
+        with suppress(Exception):  # cut off or of another pandas: made again
+            return Results(*pickle.loads(kept.read_bytes()), Path(folder))
+    frames = _read(paths)
+    with suppress(InputError, OSError):  # a folder that cannot be written: nothing is kept
+        for old in kept.parent.glob("*.pickle"):
+            old.unlink()
+        with atomic_path(kept) as partial:
+            partial.write_bytes(pickle.dumps(frames, protocol=5))
+    return Results(*frames, Path(folder))
+
+
+def _read(paths: list[Path]) -> tuple[pd.DataFrame, ...]:
+    runs, dumps, refreshes = [], [], []
+    starts = _starts()
+    for path in paths:
+        record = read_record(path)
+        row = _run_row(path.stem, record)
+        key = {name: row[name] for name in ("run", "shape", "condition", "seed")}
+        runs.append(row)
+        if (start := _start_of(record["config"], starts)) is not None:
+            dumps.append(key | {"step": 0} | start)
+        dumps += [key | _dump_row(dump, row["dimension"]) for dump in record["dumps"]]
+        for entry in record.get("topology") or ():
+            if entry["event"] == "refresh" and "dimensions" in entry:
+                refreshes += [{"run": path.stem} | each for each in _refresh_rows(entry)]
+    frame = pd.DataFrame(runs)
+    if len(frame):
+        frame["expected"] = _expected(frame)
+    studies = pd.DataFrame(_study_rows({row["run"] for row in runs}, paths[0].parent if paths else RESULTS))
+    return tuple(_ordered(each) for each in (frame, pd.DataFrame(dumps), pd.DataFrame(refreshes), studies))
+
+
+def _run_row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+    config, mesh, tails = record["config"], record["mesh"], record["tails"]
+    shape = shape_row(config["shape"])
+    row: dict[str, Any] = {
+        "run": name,
+        "shape": config["shape"],
+        "condition": config["condition"],
+        "seed": config["seed"],
+    }
+    row |= {"dimension": mesh["dimension"], "group": shape.group if shape else ""}
+    parts = {"loss": config.get("loss") or {}, "allocation": config.get("allocation") or {}}
+    row |= {key: value for key, value in config.items() if key not in parts}
+    row |= {f"{part}_{key}": value for part, values in parts.items() for key, value in values.items()}
+    row["tail"] = tails["bottleneck"][mesh["dimension"]]
+    row["count"] = tails["counts"][mesh["dimension"]]
+    row |= _by_dimension(tail=tails["bottleneck"], count=tails["counts"])
+    row |= {key: tails[key] for key in ("chamfer", "hausdorff95")}
+    row |= {key: record["images"][key] for key in ("psnr", "ssim")} | {
+        "triangles": record["soup"]["triangles"]
+    }
+    events = [entry for entry in record.get("topology") or () if entry["event"] != "refresh"]
+    calibrated = next((entry for entry in events if entry["event"] == "lambda"), {})
+    row |= {key: calibrated.get(key) for key in ("lambda_peak", "photo_norm", "topo_norm")}
+    bars = (record.get("bundle") or {}).get("bars")
+    row |= {f"bundle_h{d}": None if bars is None else _bars(bars[d]) for d in range(3)}
+    row |= {"statement": (record.get("statement") or {}).get("betti"), "events": events}
+    row |= {"diagonal": mesh["diagonal"], "floor": mesh["floor"]} | _by_dimension(
+        betti=mesh["betti"] or (None,) * 3
+    )
+    row |= {"cpu": record["host"]["cpu"], "cpu_seconds": record["cpu_seconds"]}
+    row |= {f"seconds_{stage}": seconds for stage, seconds in record["timings"].items()}
+    return row | {"peak_memory_mib": record["host"]["peak_memory_mib"]}
+
+
+def _dump_row(dump: Mapping[str, Any], dimension: int) -> dict[str, Any]:
+    row = {
+        "step": dump["step"],
+        "bottleneck": dump["bottleneck"][dimension],
+        "count": dump["counts"][dimension],
+    }
+    row |= {key: dump[key] for key in ("floor", "chamfer", "hausdorff95", "triangles")}
+    return row | _by_dimension(
+        bottleneck=dump["bottleneck"], count=dump["counts"], bars=map(_bars, dump["bars"])
+    )
+
+
+def _refresh_rows(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    common = {key: entry[key] for key in ("step", "samples", "floor", "live_floor")}
+    for dimension, plan in entry["dimensions"].items():
+        off = [
+            abs(live - target)
+            for pair in plan["targets"]
+            if pair.get("live")
+            for live, target in zip(pair["live"], pair["target"], strict=True)
+        ]
+        counts = {key: value for key, value in plan.items() if key != "targets"}
+        yield common | {"dimension": int(dimension)} | counts | {"residual": max(off, default=np.nan)}
+
+
+def _by_dimension(**columns: Iterable[Any]) -> dict[str, Any]:
+    return {f"{name}_h{d}": value for name, values in columns.items() for d, value in enumerate(values)}
+
+
+def _bars(bars: Any) -> np.ndarray:
+    return np.asarray(bars, dtype=np.float64).reshape(-1, 2)
+
+
+def _expected(runs: pd.DataFrame) -> pd.Series:
+    """Return the count of significant bars that a run should end with in the judged dimension: what its
+    bundle holds; without one what the shape's bundle at the study's density holds; else what the mesh's Betti
+    numbers say."""
+
+    def held(row: Any) -> float:
+        bars = getattr(row, f"bundle_h{row.dimension}")
+        return np.nan if bars is None else len(bars)
+
+    own = pd.Series([held(row) for row in runs.itertuples()], index=runs.index)
+    study = {row.name: row.samples for row in SHAPES}
+    usual = runs["loss_samples"].astype(object) == runs["shape"].map(study)
+    by_shape = own[usual & own.notna()].groupby(runs["shape"]).first()
+    betti = [getattr(row, f"betti_h{row.dimension}") for row in runs.itertuples()]
+    known = pd.to_numeric(pd.Series(betti, index=runs.index)) - (runs["dimension"] == 0)
+    return own.fillna(runs["shape"].map(by_shape)).fillna(known)
+
+
+def _starts() -> dict[tuple[str, int], dict[str, float]]:
+    path = MEASURED / "starts.csv"
+    return pd.read_csv(path).set_index(["shape", "seed"]).to_dict("index") if path.is_file() else {}
+
+
+def _start_of(config: Mapping[str, Any], starts: Mapping) -> dict[str, float] | None:
+    """Return the stored start of a run; None where it does not begin as the study's runs of that shape and
+    seed do."""
+    if shape_row(config["shape"]) is None:
+        return None
+    usual = _usual(config["shape"])
+    allocation = config.get("allocation") or {}
+    noisy = any(config.get(name) for name in ("cloud_noise", "cloud_outliers", "cloud_missing"))
+    other = (
+        config["budget"] != usual.budget
+        or config["initial_ratio"] != usual.initial_ratio
+        or config.get("given")
+    )
+    if other or noisy or allocation.get("levers") == "start":
+        return None
+    return starts.get((config["shape"], config["seed"]))
+
+
+@cache
+def _usual(shape: str) -> Any:
+    return study_config(shape)
+
+
+def _study_rows(recorded: set[str], folder: Path) -> Iterator[dict[str, Any]]:
+    for name, blocks in STUDIES.items():
+        for block in blocks:
+            for config in block.configs():
+                path = recorded_path(config, folder)
+                row = {
+                    "study": name,
+                    "setting": block.setting,
+                    "shape": config.shape,
+                    "condition": config.condition,
+                }
+                run = path.stem if path is not None and path.stem in recorded else None
+                yield row | {"seed": config.seed, "run": run}
+
+
+def _ordered(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the frame with shape and condition as ordered categories and with numbers as numbers."""
+    for column, rows in (("shape", SHAPES), ("condition", CONDITIONS)):
+        if column in frame:
+            known = [row.name for row in rows]
+            names = known + sorted(set(frame[column]) - set(known))
+            frame[column] = pd.Categorical(frame[column], names, ordered=True)
+    return frame
+
+
+@cache
+def _published() -> pd.DataFrame:
+    frames = []
+    for path in sorted(PUBLISHED.glob("t*_*.csv")):
+        kind, _, table = path.stem.partition("_")
+        own = pd.read_csv(path, dtype=str, keep_default_na=False)
+        if "value" not in own:  # tables of texts: a row per cell
+            own = own.rename(columns={"method": "shape"}).melt(
+                ["shape", "source"], var_name="quantity", value_name="printed"
+            )
+            own["value"] = ""
+        else:
+            own["printed"] = own["value"]
+        frames.append(own.assign(table=table, kind=kind))
+    frame = pd.concat(frames, ignore_index=True)
+    numbers = ("dimension", "value", "sd", "ratio", "seeds", "seed", "samples", "genus")
+    frame = frame.assign(
+        **{name: pd.to_numeric(frame[name].replace("", np.nan)) for name in numbers if name in frame}
+    )
+    texts = frame.columns.difference(numbers)
+    frame[texts] = frame[texts].fillna("")
+    columns = [
+        "table",
+        "shape",
+        "dimension",
+        "condition",
+        "seed",
+        "samples",
+        "quantity",
+        "value",
+        "printed",
+        "sd",
+        "ratio",
+    ]
+    columns += ["seeds", "knob", "setting", "note", "source"]
+    return frame.reindex(columns=[*columns, *frame.columns.difference([*columns, "kind"])])
+
+
+def published(*tables: str, quantity: str = "") -> pd.DataFrame:
+    """Return the paper's numbers, one row each, in one schema for all tables and texts (default: all of
+    them).
+
+    Columns: table ("1", "S7", or "noise", "chamfer" … for numbers in the text), shape, dimension, condition,
+    seed, samples (the density M), quantity ("tail_bottleneck" unless the README of results/published says
+    otherwise), value, printed (the same as the paper prints it, a text), sd, ratio (C0 / this, as printed),
+    seeds (how many), knob, setting, note, source. NaN and "" where the paper gives nothing. Tables S6 and S12
+    hold texts: one row per cell, quantity is its column, shape its row, value NaN. quantity: only these rows.
+    Raises InputError for an unknown table. """
+    frame = _published()
+    known = frame["table"].unique()
+    for table in tables:
+        if table not in known:
+            where = (
+                f"known: {', '.join(known)}" if len(known) else f"{PUBLISHED} holds none: work in a checkout"
+            )
+            raise InputError(f"the paper has no table {table!r} here; {where}")
+    chosen = frame[frame["table"].isin(tables)] if tables else frame
+    if quantity:
+        chosen = chosen[chosen["quantity"] == quantity]
+    place = {table: number for number, table in enumerate(tables)}  # as asked for
+    return (
+        chosen.sort_values("table", key=lambda names: names.map(place), kind="stable")
+        if tables
+        else chosen.copy()
+    )
+
+
+def measured(name: str) -> pd.DataFrame:
+    """Return results/measured/<name>.csv, the output of data_scripts/measure/<name>.py.
+
+    Raises InputError when the file does not exist.
+    """
+    path = MEASURED / f"{name}.csv"
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; python data_scripts/measure/{name}.py makes it")
+    return pd.read_csv(path)

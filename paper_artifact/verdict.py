@@ -1,0 +1,123 @@
+"""The study's verdict rule on tidy frames (paper §4, Protocol).
+
+C1 passes on a shape if its tails lie below C0's and below every norm-matched control's (smaller mean, ranges
+over the seeds that do not touch) at Chamfer parity: mean Chamfer(C1) <= PARITY mean Chamfer(C0). Counts of
+bars are reported and decide nothing. Standard deviations are those of a sample (n - 1). """
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from paper_artifact.catalogue import BASELINE, CONTROLS, LOSS
+from paper_artifact.errors import InputError
+
+PARITY = 1.15
+WELCH_SEEDS = 5  # Welch's statistic is given where both arms have at least as many seeds
+
+
+def arms(runs: pd.DataFrame, by: Sequence[str] = ("shape", "condition")) -> pd.DataFrame:
+    """Return one row per arm, indexed by `by`: seeds (how many), mean, sd, low and high of the tails, chamfer
+    (mean), and ratio (mean of the same shape's C0 / mean; NaN for C0 and where the shape has none).
+
+    runs: `results.Results.runs` or rows of it; columns by, seed, tail, chamfer.
+    """
+    grouped = runs.groupby(list(by), observed=True)
+    tails = grouped["tail"]
+    table = tails.agg(seeds="size", mean="mean", sd="std", low="min", high="max")
+    table["chamfer"] = grouped["chamfer"].mean() if "chamfer" in runs else np.nan
+    baseline = runs[runs["condition"] == BASELINE].groupby("shape", observed=True)["tail"].mean()
+    over = table.index.get_level_values("shape").map(baseline).astype(float)
+    table["ratio"] = np.where(
+        table.index.get_level_values("condition") == BASELINE, np.nan, over / table["mean"]
+    )
+    return table
+
+
+def welch(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return Welch's statistic (mean a - mean b) / sqrt(var a / n + var b / m); NaN below WELCH_SEEDS seeds
+    or without variance."""
+    if min(len(a), len(b)) < WELCH_SEEDS:
+        return math.nan
+    variance = np.var(a, ddof=1) / len(a) + np.var(b, ddof=1) / len(b)
+    return float((np.mean(a) - np.mean(b)) / math.sqrt(variance)) if variance > 0 else math.nan
+
+
+def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CONTROLS) -> pd.DataFrame:
+    """Return the verdict on the condition `loss`, one row per shape, in the order of the catalogue.
+
+    Columns: outcome ("pass", or why not: "saturated", every tail of baseline and loss is one value; "no
+    effect", the loss overlaps the baseline; "worse"; "parity failed"; "tied by control", overlaps a control;
+    "beaten by control"; "incomplete", an arm is missing), reason (one sentence), ratio (C0 / loss),
+    chamfer_ratio (loss / C0), welch (C0 - loss). A control without runs is passed over; without any control a
+    shape is incomplete. Raises InputError when an arm has a seed twice. """
+    if runs.duplicated(["shape", "condition", "seed"]).any():
+        twice = runs[runs.duplicated(["shape", "condition", "seed"])].iloc[0]
+        raise InputError(
+            f"{twice['shape']} {twice['condition']} has seed {twice['seed']} twice; keep one run of each"
+        )
+    rows = {}
+    for shape, own in runs.groupby("shape", observed=True):
+        tails = {name: group["tail"].to_numpy() for name, group in own.groupby("condition", observed=True)}
+        chamfer = (
+            own.groupby("condition", observed=True)["chamfer"].mean()
+            if "chamfer" in own
+            else pd.Series(dtype=float)
+        )
+        parity = chamfer.get(loss, math.nan) / chamfer.get(BASELINE, math.nan)
+        present = [name for name in controls if name in tails]
+        absent = [name for name in (BASELINE, loss) if name not in tails] + ([] if present else [controls[0]])
+        if absent:
+            rows[shape] = {"outcome": "incomplete", "reason": f"no runs of {', '.join(absent)}"}
+            continue
+        outcome, reason = _outcome(loss, tails, present, parity)
+        ratio = tails[BASELINE].mean() / tails[loss].mean() if tails[loss].mean() > 0 else math.inf
+        sigma = welch(tails[BASELINE], tails[loss])
+        rows[shape] = {
+            "outcome": outcome,
+            "reason": reason,
+            "ratio": ratio,
+            "chamfer_ratio": parity,
+            "welch": sigma,
+        }
+    columns = ["outcome", "reason", "ratio", "chamfer_ratio", "welch"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("shape")
+
+
+def disjoint(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return whether the ranges of two arms' tails do not touch."""
+    return bool(a.max() < b.min() or a.min() > b.max())
+
+
+def _outcome(
+    loss: str, tails: dict[str, np.ndarray], controls: Sequence[str], parity: float
+) -> tuple[str, str]:
+    own, baseline = tails[loss], tails[BASELINE]
+    texts = {name: f"{name} {_range(values)}" for name, values in tails.items()}
+    if len({*own, *baseline}) == 1 and len(own) > 1:
+        return "saturated", f"every tail of {BASELINE} and {loss} is {short(own.mean())}"
+    if not disjoint(own, baseline):
+        return "no effect", f"{texts[loss]} overlaps {texts[BASELINE]}"
+    if not own.mean() < baseline.mean():
+        return "worse", f"{texts[loss]} is above {texts[BASELINE]}"
+    if parity > PARITY:
+        return "parity failed", f"Chamfer of {loss} is {parity:.2f} times {BASELINE}'s, more than {PARITY}"
+    for name in controls:
+        if not disjoint(own, tails[name]):
+            return "tied by control", f"{texts[loss]} overlaps {texts[name]}"
+        if not own.mean() < tails[name].mean():
+            return "beaten by control", f"{texts[name]} is below {texts[loss]}"
+    known = "Chamfer unknown" if math.isnan(parity) else f"Chamfer {parity:.2f} times {BASELINE}'s"
+    return "pass", f"{texts[loss]} is below {texts[BASELINE]} and {', '.join(controls)}, {known}"
+
+
+def _range(values: np.ndarray) -> str:
+    return f"{short(values.min())}-{short(values.max())}"
+
+
+def short(value: float) -> str:
+    """Return a length over the diagonal with four decimals as the paper prints it, ".0156"."""
+    return f"{value:.4f}".removeprefix("0") if value < 1 else f"{value:.4f}"
