@@ -13,10 +13,8 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.certify.certificate import certify, certify_mesh
-from paper_artifact.certify.homology import betti_numbers, dual_voids
-from paper_artifact.certify.simplices import make_complex
-from paper_artifact.certify.text import certificate_text
+from paper_artifact.certify.certificate import certificate_text, certify, certify_mesh
+from paper_artifact.certify.homology import betti_numbers, dual_voids, make_complex
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import load_mesh
 from paper_artifact.study import dispositions as disposition
@@ -78,6 +76,14 @@ def test_random_complexes_against_gudhi(seed):
 def test_every_triangle_of_many_points_has_all_voids():
     faces = np.array([[a, b, c] for a in range(14) for b in range(a) for c in range(b)])
     assert betti_numbers(make_complex(faces, 14)).tolist() == [[1, 0, 286]]  # binomial(13, 3)
+
+
+def test_a_triangle_given_twice_is_a_fault_of_the_file_alone():
+    vertices, faces = shapes.joined(shapes.plate(1), (np.eye(3) + 9, np.array([[0, 1, 2], [1, 0, 2]])))
+    certificate = certify(vertices, faces)
+    assert certificate.reasons == ("1 duplicate face",) and certificate.genus is None
+    assert certificate.kind == "1 × closed surface, genus 1; 1 × triangle given twice"
+    assert certificate.betti == (2, 2, 1) == gudhi_betti(faces)
 
 
 def test_order_of_faces_and_vertices_changes_nothing():

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.offsets import Rung, Wanted
+from paper_artifact.ingest.solidify import Rung, Wanted
 from paper_artifact.report import measured, solid_peers, solids
 from paper_artifact.scene.shapes import make_shape
 

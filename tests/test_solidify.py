@@ -15,9 +15,9 @@ from paper_artifact import cli
 from paper_artifact.cli.solidify import offset_table
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup, write_solid
-from paper_artifact.ingest.closest import nearest_on
 from paper_artifact.ingest.crossings import crossing_faces
-from paper_artifact.ingest.offsets import Rung, check_ladder, plateau, wanted_of
+from paper_artifact.ingest.distance import nearest_on
+from paper_artifact.ingest.solidify import Rung, check_ladder, plateau, wanted_of
 from paper_artifact.mesh import load_mesh
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup

@@ -14,7 +14,7 @@ from paper_artifact.audit.marks import colour_of_mark, view_parts
 from paper_artifact.audit.measure import Audit
 from paper_artifact.audit.rule import NAMES, NOUNS, counted
 from paper_artifact.audit.view import light_mesh
-from paper_artifact.certify.text import certificate_text, verdict_text
+from paper_artifact.certify.certificate import certificate_text, verdict_text
 from paper_artifact.export.figures import draw_diagram, new_figure, svg
 from paper_artifact.export.viewer import html_page
 from paper_artifact.topology.floor import MULTIPLIER

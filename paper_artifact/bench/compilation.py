@@ -47,9 +47,8 @@ def _certificate(folder: Path) -> None:
 
 
 def _ingest(folder: Path) -> None:
-    from paper_artifact.ingest.closest import nearest_on
     from paper_artifact.ingest.crossings import crossing_faces
-    from paper_artifact.ingest.distance import distance_grid
+    from paper_artifact.ingest.distance import distance_grid, nearest_on
 
     mesh = find_mesh("sphere")
     distance_grid(mesh.vertices, mesh.faces, mesh.diagonal / 8, mesh.diagonal / 4)

@@ -1,6 +1,6 @@
 """The certificate of a mesh: exact weld, surface checks, exact homology, Euler characteristic, a verdict.
 
-Paper §4 and suppl. G: what fails is excluded, never repaired. The topology is that of the mesh's own
+Paper §4 and suppl. G: a mesh that fails is excluded, never repaired. The topology is that of the mesh's own
 triangles: self-intersections do not change it, and are not looked for.
 """
 
@@ -11,9 +11,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from paper_artifact.certify.homology import betti_numbers, dual_voids
-from paper_artifact.certify.simplices import make_complex
-from paper_artifact.certify.surface import check_surface, open_edge_count
+from paper_artifact.certify.homology import (
+    betti_numbers,
+    check_surface,
+    dual_voids,
+    make_complex,
+    open_edge_count,
+)
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, weld
 
@@ -42,8 +46,8 @@ class Component:
 
     @property
     def manifold(self) -> bool:
-        """Whether every edge has at most two faces and the faces at every vertex form one fan."""
-        return self.nonmanifold_edges == 0 and self.pinched_vertices == 0
+        """Whether edges have at most two faces, vertices one fan of faces, and no face is repeated."""
+        return self.expected is not None
 
 
 @dataclass(frozen=True)
@@ -154,12 +158,12 @@ def certify(
         edges=len(simplices.edges),
         faces=len(indexed),
         collapsed_faces=len(faces) - len(indexed),
-        duplicate_faces=checks.duplicate_faces,
+        duplicate_faces=int(checks.duplicate_faces.sum()),
         flat_faces=checks.flat_faces,
         **numbers,
         orientable=bool(checks.orientable.all()),
         euler=euler,
-        euler_as_given=euler + checks.duplicate_faces,
+        euler_as_given=euler + int(checks.duplicate_faces.sum()),
         betti=total,
         betti2_dual=dual,
         components=tuple(sorted(components, key=lambda each: -each.faces)),
@@ -177,7 +181,8 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
     numbers = {name: int(getattr(checks, name)[i]) for name in FAULTS}
     orientable, loops = bool(checks.orientable[i]), numbers["boundary_loops"]
     genus = expected = None
-    if numbers["nonmanifold_edges"] == numbers["pinched_vertices"] == 0:
+    # A face given twice closes its own edges by count alone: what it bounds is no surface.
+    if numbers["nonmanifold_edges"] == numbers["pinched_vertices"] == checks.duplicate_faces[i] == 0:
         crosscaps = 2 - euler - loops
         genus = crosscaps // 2 if orientable else crosscaps
         expected = (1, 2 - euler, 1) if loops == 0 else (1, 1 - euler, 0)
@@ -212,9 +217,13 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
             f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} "
             "(faces in more than one fan)"
         )
-    if checks.duplicate_faces:
-        reasons.append(f"{_count(checks.duplicate_faces, 'duplicate face')}")
-    odd = [each.euler for each in components if each.euler % 2 and each.open_edges == 0]
+    if repeated := int(checks.duplicate_faces.sum()):
+        reasons.append(f"{_count(repeated, 'duplicate face')}")
+    odd = [
+        each.euler
+        for each, repeated in zip(components, checks.duplicate_faces, strict=True)
+        if each.euler % 2 and each.open_edges == 0 and not repeated
+    ]
     if odd:
         reasons.append(
             f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary"
@@ -256,7 +265,7 @@ def _kind(components: list[Component]) -> str:
 
 def _sort_of(each: Component) -> str:
     if not each.manifold:
-        return "no manifold"
+        return "no manifold" if each.nonmanifold_edges or each.pinched_vertices else "triangle given twice"
     handles = (
         f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus, 'crosscap')}"
     )
@@ -269,3 +278,68 @@ def _sort_of(each: Component) -> str:
 
 def _count(number: int, singular: str, plural: str | None = None) -> str:
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
+
+
+LONGEST = 12  # components that are listed
+
+
+def verdict_text(certificate: Certificate) -> str:
+    """Return the verdict in a few words: PASS, PASS as a surface with boundary (how open), or FAIL."""
+    if not certificate.passed or certificate.closed:
+        return certificate.verdict.upper()
+    loops = certificate.boundary_loops
+    return f"PASS as a surface with boundary ({loops} boundary loop{'s' * (loops != 1)}; not closed)"
+
+
+def certificate_text(certificate: Certificate) -> str:
+    """Return the certificate as lines of text, the verdict first."""
+    c = certificate
+    lines = [f"{c.name}: {verdict_text(c)}"]
+    lines += [f"  reason: {reason}" for reason in c.reasons] + [f"  note: {note}" for note in c.notes]
+    rows = [
+        ("kind", c.kind),
+        (
+            "as indexed",
+            f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, "
+            f"{c.open_edges_as_indexed} open edges",
+        ),
+        ("after exact weld", f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles"),
+        (
+            "open edges",
+            f"{c.open_edges}" + (f" in {c.boundary_loops} boundary loops" if c.open_edges else ""),
+        ),
+        ("non-manifold", f"{c.nonmanifold_edges} edges, {c.pinched_vertices} pinched vertices"),
+        (
+            "winding",
+            ("orientable" if c.orientable else "not orientable")
+            + f", {c.reversed_edges} edges wound alike by both faces",
+        ),
+        ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
+        (
+            "Betti numbers, Z/2",
+            f"{c.betti}, b2 by duality "
+            + ("not counted (too large)" if c.betti2_dual is None else str(c.betti2_dual)),
+        ),
+        (
+            "Euler characteristic",
+            f"{c.euler}"
+            + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""),
+        ),
+    ]
+    lines += [f"  {label:<21}{text}" for label, text in rows]
+    lines.append(
+        f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}"
+        f"{'open':>5}{'loops':>6}{'genus':>6}"
+    )
+    for number, each in enumerate(c.components[:LONGEST], start=1):
+        lines.append(
+            f"  {number:<11}{each.vertices:>9}{each.faces:>10}{each.euler:>6}  {str(each.betti):<14}"
+            f"{_or_dash(each.expected):<14}{each.open_edges:>5}{each.boundary_loops:>6}{_or_dash(each.genus):>6}"
+        )
+    if len(c.components) > LONGEST:
+        lines.append(f"  … and {len(c.components) - LONGEST} smaller components (all of them in --json)")
+    return "\n".join(lines)
+
+
+def _or_dash(value: object) -> str:
+    return "-" if value is None else str(value)

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     matplotlib.use("Agg")
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.page import audit_page, headline, rung_text
-    from paper_artifact.certify.text import verdict_text
+    from paper_artifact.certify.certificate import verdict_text
     from paper_artifact.scene.find import find_mesh
 
     mesh = find_mesh(arguments.mesh, welded=False)

@@ -33,8 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the certificate. Returns 0, with --strict 1 when it fails."""
     from tqdm import tqdm
 
-    from paper_artifact.certify.certificate import certify_mesh
-    from paper_artifact.certify.text import certificate_text
+    from paper_artifact.certify.certificate import certificate_text, certify_mesh
     from paper_artifact.files import write_json
     from paper_artifact.scene.find import find_mesh
     from paper_artifact.study.dispositions import disposition_text, dispositions

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Ingest, certify, write and print. Returns 0; InputError goes to the caller."""
     from paper_artifact.files import write_json, write_text
     from paper_artifact.ingest import hot_pot
-    from paper_artifact.ingest.write import check_format, write_shell
+    from paper_artifact.ingest.solidify import check_format, write_shell
     from paper_artifact.scene.find import find_mesh
 
     check_format(arguments.out)

@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     from paper_artifact.certify.certificate import certify_mesh
     from paper_artifact.export.solid import check_format, distances_to, placed, solidify_soup, write_solid
     from paper_artifact.files import write_json
-    from paper_artifact.ingest.offsets import CELLS, OFFSETS, check_ladder, wanted_of
+    from paper_artifact.ingest.solidify import CELLS, OFFSETS, check_ladder, wanted_of
     from paper_artifact.scene.find import find_mesh
     from paper_artifact.soup.state import load_frame, load_soup
 

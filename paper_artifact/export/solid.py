@@ -16,9 +16,18 @@ from paper_artifact.evaluate.geometry import point_distances
 from paper_artifact.export.models import glb_bytes, ply_bytes, srgb_to_linear
 from paper_artifact.export.triangles import THRESHOLD, Triangles, soup_triangles
 from paper_artifact.frame import SAME, Frame
-from paper_artifact.ingest.offsets import CELLS, OFFSETS, Rung, Wanted, climb, plateau, shells, wanted_of
-from paper_artifact.ingest.retract import retract
-from paper_artifact.ingest.write import write_certified
+from paper_artifact.ingest.crossings import retract
+from paper_artifact.ingest.solidify import (
+    CELLS,
+    OFFSETS,
+    Rung,
+    Wanted,
+    climb,
+    plateau,
+    shells,
+    wanted_of,
+    write_certified,
+)
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface

@@ -1,19 +1,82 @@
-"""The exact unsigned distance to a triangle soup on a regular grid, in a narrow band around it.
+"""Distances to a triangle soup: on a regular grid in a narrow band, and the nearest point of given points.
 
 For every triangle the grid points that can lie within the band are visited (its bounding box, cut to the slab
 around its plane) and the exact point–triangle distance (Ericson 2005, Real-Time Collision Detection, §5.1.5)
 is minimised; beyond the band the field is the band. No sign, no ray, no winding: the soup may be open,
-overlapping and non-manifold.
+overlapping and non-manifold. `Boxes` lists which triangles come near a place.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from paper_artifact.errors import InputError
 from paper_artifact.kernel_cache import njit
+
+MOST_CELLS = 4_000_000
+
+
+class Boxes(NamedTuple):
+    """Bounding boxes of n things, filed under every grid cell that they meet."""
+
+    low: np.ndarray  # (n,3) float64 lower corners
+    high: np.ndarray  # (n,3) float64 upper corners
+    origin: np.ndarray  # (3,) float64 of the grid
+    cell: float  # its spacing
+    shape: np.ndarray  # (3,) int64 cells per axis
+    start: np.ndarray  # (cells + 1,) int64: cell c, counted in C order, holds items[start[c]:start[c + 1]]
+    items: np.ndarray  # (filed,) int64 indices of boxes
+
+
+def file_boxes(corners: np.ndarray, cell: float) -> Boxes:
+    """Return the Boxes of corners (n,k,3) float64; cell: the spacing wished for, same unit, raised where the
+    grid would have more than MOST_CELLS cells."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
+    cell = max(float(cell), float(extent.max()) * 1e-3, 1e-300)
+    while np.prod(extent / cell + 1) > MOST_CELLS:
+        cell *= 1.3
+    shape = (extent / cell).astype(np.int64) + 1
+    start, items = _file(low, high, origin, cell, shape)
+    return Boxes(low, high, origin, cell, shape, start, items)
+
+
+@njit(cache=True)
+def cells_of(low, high, origin, cell, shape):
+    """Return the first and last cell (3,) int64 per axis that a box meets; first > last outside of all."""
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        first[axis] = max(0, int(np.floor((low[axis] - origin[axis]) / cell)))
+        last[axis] = min(shape[axis] - 1, int(np.floor((high[axis] - origin[axis]) / cell)))
+    return first, last
+
+
+@njit(cache=True)
+def _file(low, high, origin, cell, shape):
+    start = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
+    items = np.empty(0, dtype=np.int64)
+    for turn in range(2):  # count, then fill from the back
+        if turn == 1:
+            start = np.cumsum(start)
+            items = np.empty(start[-1], dtype=np.int64)
+        for back in range(len(low)):
+            n = len(low) - 1 - back
+            first, last = cells_of(low[n], high[n], origin, cell, shape)
+            for i in range(first[0], last[0] + 1):
+                for j in range(first[1], last[1] + 1):
+                    for k in range(first[2], last[2] + 1):
+                        place = (i * shape[1] + j) * shape[2] + k
+                        if turn == 0:
+                            start[place] += 1
+                        else:
+                            start[place] -= 1
+                            items[start[place]] = n
+    return start, items
+
 
 MOST_POINTS = 400_000_000  # grid points, 1.6 GB
 
@@ -119,3 +182,83 @@ def _squared_to_segment(p, a, b):
     t = 0.0 if length == 0 else min(1.0, max(0.0, (x * px + y * py + z * pz) / length))
     dx, dy, dz = px - t * x, py - t * y, pz - t * z
     return dx * dx + dy * dy + dz * dz
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Of n points, where on a soup of T triangles each one's nearest point lies."""
+
+    triangle: np.ndarray  # (n,) int64
+    weights: np.ndarray  # (n,3) float64 barycentric coordinates there
+    points: np.ndarray  # (n,3) float64, world units
+
+
+def nearest_on(soup: np.ndarray, points: np.ndarray, within: float) -> Nearest:
+    """Return the Nearest of points (n,3) on the triangles soup (T,3,3), float64, all in world units.
+
+    Of equally near triangles the first counts. Raises InputError where a point is farther than `within`.
+    """
+    soup, points = np.ascontiguousarray(soup), np.ascontiguousarray(points)
+    boxes = file_boxes(soup, 2 * within)
+    triangle = _nearest(points, soup, float(within), boxes)
+    if (triangle < 0).any():
+        raise InputError(f"{int((triangle < 0).sum())} points are farther than {within:.6g} from the soup")
+    weights = _weights(points, soup, triangle)
+    return Nearest(triangle, weights, np.einsum("ij,ijk->ik", weights, soup[triangle]))
+
+
+@njit(cache=True)
+def _nearest(points, soup, within, boxes: Boxes):
+    result = np.full(len(points), -1)
+    for n in range(len(points)):
+        point, best = points[n], within * within
+        first, last = cells_of(point - within, point + within, boxes.origin, boxes.cell, boxes.shape)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    place = (i * boxes.shape[1] + j) * boxes.shape[2] + k
+                    for position in range(boxes.start[place], boxes.start[place + 1]):
+                        item = boxes.items[position]
+                        outside = 0.0
+                        for axis in range(3):
+                            gap = max(
+                                boxes.low[item, axis] - point[axis], point[axis] - boxes.high[item, axis], 0.0
+                            )
+                            outside += gap * gap
+                        if outside > best:
+                            continue
+                        squared = squared_distance(point, soup[item, 0], soup[item, 1], soup[item, 2])
+                        if squared < best or (squared == best and (result[n] < 0 or item < result[n])):
+                            best = squared
+                            result[n] = item
+    return result
+
+
+@njit(cache=True)
+def _weights(points, soup, triangle):
+    """Return the barycentric coordinates (n,3) of the nearest point on the given triangle of each point."""
+    result = np.zeros((len(points), 3))
+    for n in range(len(points)):
+        p, corners = points[n], soup[triangle[n]]
+        ab, ac, ap = corners[1] - corners[0], corners[2] - corners[0], p - corners[0]
+        bb, cc, bc = (ab * ab).sum(), (ac * ac).sum(), (ab * ac).sum()
+        bp, cp = (ab * ap).sum(), (ac * ap).sum()
+        determinant = bb * cc - bc * bc
+        v, w = cc * bp - bc * cp, bb * cp - bc * bp
+        if determinant > 0 and v >= 0 and w >= 0 and v + w <= determinant:
+            result[n, 1], result[n, 2] = v / determinant, w / determinant
+            result[n, 0] = 1 - result[n, 1] - result[n, 2]
+            continue
+        best = np.inf
+        for i in range(3):
+            j = (i + 1) % 3
+            side, to = corners[j] - corners[i], p - corners[i]
+            length = (side * side).sum()
+            t = 0.0 if length == 0 else min(1.0, max(0.0, (side * to).sum() / length))
+            rest = to - t * side
+            squared = (rest * rest).sum()
+            if squared < best:
+                best = squared
+                result[n] = 0.0
+                result[n, i], result[n, j] = 1 - t, t
+    return result

@@ -30,7 +30,7 @@ from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import Target, evaluate_samples, make_target, soup_samples
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup
 from paper_artifact.files import REPOSITORY, RESULTS, write_bytes
-from paper_artifact.ingest.closest import nearest_on
+from paper_artifact.ingest.distance import nearest_on
 from paper_artifact.mesh import Mesh, load_mesh
 from paper_artifact.pipeline import run
 from paper_artifact.randomness import stream

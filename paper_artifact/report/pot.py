@@ -18,7 +18,7 @@ from paper_artifact.certify.certificate import Certificate
 from paper_artifact.evaluate.diagram import lifetimes
 from paper_artifact.evaluate.staircase import measure
 from paper_artifact.ingest import hot_pot
-from paper_artifact.ingest.inventory import inventory, shells_as_indexed
+from paper_artifact.ingest.hot_pot import inventory, shells_as_indexed
 from paper_artifact.ingest.solidify import Solid
 from paper_artifact.mesh import Mesh
 from paper_artifact.report.kit.figures import image_rows

@@ -20,7 +20,7 @@ from paper_artifact.catalogue import LOSS, SHAPES, colour_of, study_config
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.export.solid import distances_to, solidify_soup
 from paper_artifact.files import RESULTS, write_text
-from paper_artifact.ingest.offsets import INSIDE, OFFSETS, Rung, Wanted, wanted_of
+from paper_artifact.ingest.solidify import INSIDE, OFFSETS, Rung, Wanted, wanted_of
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import record_path
 from paper_artifact.report.kit.figures import new_figure
