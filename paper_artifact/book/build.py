@@ -1,135 +1,291 @@
-"""Builds the book: one call writes every page, table and picture of it into one folder."""
+"""The book: the study as one offline set of pages, made from the claims and the executed notebooks.
+
+A claim is a row of `results/claims/*.csv`, written by the notebook that checked it (`claims.Claims`). The
+verdict of an item of the paper is a count of its claims. Notebooks become pages through nbconvert, which
+removes every script of theirs; the reference of the Python API is pdoc's. """
 
 from __future__ import annotations
 
-import copy
+import base64
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import nbformat
 import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
+from nbformat import NotebookNode
 
-from paper_artifact import __version__
-from paper_artifact.book import api, front
-from paper_artifact.book.contents import write_figures, write_tables
-from paper_artifact.book.items import Item, items, pair_frame, status_frame
-from paper_artifact.book.pages import Pages, notebook_body
-from paper_artifact.book.sources import Sources
+from paper_artifact import __version__, results
+from paper_artifact.book.main_result import main_frame, main_runs, picture_svg
 from paper_artifact.book.views import write_views
-from paper_artifact.files import RESULTS, write_text
-from paper_artifact.report import deviations, errata
-from paper_artifact.study.verdict import PARITY
+from paper_artifact.claims import FOLDER, MISSING, read_claims
+from paper_artifact.errors import InputError
+from paper_artifact.files import RESULTS, write_bytes, write_text
+from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
+from paper_artifact.results import PUBLISHED
+from paper_artifact.verdict import PARITY
 
 BOOK = RESULTS / "book"
-OWN = (
-    "main_result.csv",
-    "items.csv",
-    "pairs.csv",
-    "deviations.csv",
-    "errors.csv",
-)  # tables of the book's pages
+TEMPLATES = Path(__file__).with_name("templates")
+MENU = (  # (name, file) of what every page leads to
+    ("Result", "index.html"),
+    ("28 items", "items.html"),
+    ("Where we differ", "differ.html"),
+    ("Soups in 3-D", "soups.html"),
+    ("Figures", "figures.html"),
+    ("Notebooks", "notebooks.html"),
+    ("Python API", "api/index.html"),
+)
+API = ("alpha", "topology", "results", "verdict", "claims", "plot", "mesh", "certify", "catalogue", "config")
+SHOWN = re.compile(r'\bshow\(\s*"([\w-]+)"')  # the key of a figure, as `plot.show` takes it
+
+
+@dataclass(frozen=True)
+class Item:
+    """One table or figure of the paper, with its claims."""
+
+    name: str  # "Table S2", "Fig. 1"
+    title: str
+    notebooks: tuple[str, ...]  # where it is, the main one first
+    compared: str  # what is compared and by which rule
+    claims: pd.DataFrame  # columns of `claims.read_claims`
+
+    @property
+    def key(self) -> str:
+        """A name for links: "table-s2"."""
+        return self.name.lower().replace(". ", "-").replace(" ", "-")
+
+    @property
+    def word(self) -> str:
+        """ "agrees" when every checked claim holds, "differs" when none does, else "partly"; "not recorded"
+        without any."""
+        known = self.claims["holds"][self.claims["holds"] != MISSING]
+        if not len(known):
+            return MISSING
+        return "agrees" if (known == "yes").all() else "partly" if (known == "yes").any() else "differs"
+
+    @property
+    def tally(self) -> str:
+        """How many of the checked claims hold, "12 of 15"."""
+        counts = Counter(self.claims["holds"])
+        missing = f", {counts[MISSING]} {MISSING}" if counts[MISSING] else ""
+        return f"{counts['yes']} of {counts['yes'] + counts['no']}{missing}"
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One notebook with its outputs."""
+
+    name: str  # "06_c_matrix"
+    title: str  # its first heading, without the paper's items in parentheses
+    notebook: NotebookNode
+    executed: bool  # whether the outputs were made on this machine; else they are the committed ones
 
 
 def build(
-    folder: Path = BOOK, sources: Sources | None = None, progress: Callable[[str], None] | None = None
+    folder: Path = BOOK,
+    notebooks: Path = NOTEBOOKS,
+    executed: Path = EXECUTED,
+    runs: Path = RESULTS / "runs",
+    progress: Callable[[str], None] = lambda part: None,
 ) -> list[Item]:
     """Write the book into `folder` and return the paper's items with their verdicts.
 
-    sources: records and notebooks (default: the committed records; the executed copies of the notebooks where
-    they have today's code, else the committed ones). SVG pictures that `run-all` left in its folder figures
-    are taken; pages and tables of an earlier book are overwritten, those of a notebook that is gone removed.
-    progress: called with the name of each part before it is made. Raises InputError when something committed
-    cannot be read or the folder cannot be written.
-    """
-    sources = sources or Sources.read()
-    tell = progress or (lambda part: None)
+    notebooks, executed: the executed copies are taken where they have today's code. runs: the folder of the
+    records. progress: called with the name of each part before it is made. SVG pictures that `run-all` left
+    in the folder figures are taken. Raises InputError when something committed cannot be read or the folder
+    cannot be written. """
+    tables = results.load(folder=runs)
+    progress("claims")
+    claims = read_claims(FOLDER if runs == RESULTS / "runs" else runs.parent / "claims")
+    found = items(claims)
+    chapters = [read_chapter(path, executed / path.name) for path in notebook_files(notebooks)]
+    main = main_runs(tables) if len(tables.runs) else tables.runs
+    if len(main):
+        write_text(folder / "figures" / "main_result.svg", picture_svg(main))
+    for name, frame in (("items", item_frame(found)), ("claims", claims), ("runs", _scalars(tables.runs))):
+        write_text(folder / "tables" / f"{name}.csv", csv_text(frame))
+    write_text(folder / "tables" / "published.csv", csv_text(results.published()))
+    progress("soups")
+    views = write_views(tables, main, folder / "soups") if len(main) else []
+    progress("notebooks")
     pages = Pages(folder)
-    for part in ("notebooks", "tables", "soups"):  # figures: also `run-all` writes there
-        for old in (folder / part).glob("*"):
-            old.unlink()
-    tell("front")
-    write_text(folder / "figures" / "main_result.svg", front.picture_svg(sources))
-    main = front.main_table(sources)
-    tell("items")
-    found = items(sources)
-    deviating = deviations.deviation_table(sources.study("table1", "table2"), sources.measured("deviations"))
-    wrong = errata.error_table()
-    for name, table in zip(
-        OWN,
-        (
-            main.reset_index(),
-            status_frame(found),
-            pair_frame(found),
-            deviating.reset_index(),
-            wrong.reset_index(),
-        ),
-        strict=True,
-    ):
-        write_text(folder / "tables" / name, table.to_csv(index=False, lineterminator="\n"))
-    tell("soups")
-    views = write_views(sources, folder / "soups")
-    tell("notebooks")
-    figures, tables = _write_chapters(sources, pages)
-    tell("pages")
-    counts = Counter(each.word for each in found)
+    figures = []
+    for chapter in chapters:
+        pictures = write_figures(chapter, folder / "figures")
+        figures.append((chapter, list(dict.fromkeys(pictures.values()))))
+        content = pages.notebook_body(chapter, pictures)
+        file = f"notebooks/{chapter.name}.html"
+        pages.write("notebook.html", file, chapter.title, chapter=chapter, content=content)
+    progress("pages")
+    no = claims[claims["holds"] == "no"]
+    frame = main_frame(main) if len(main) else None
+    front: dict[str, Any] = {
+        "items": found,
+        "views": views,
+        "parity": PARITY,
+        "main": frame,
+        "runs": tables.runs,
+    }
+    front |= {"words": Counter(item.word for item in found), "holds": Counter(claims["holds"])}
+    front |= {"differing": Counter(no["item"]).most_common(), "version": __version__}
     pages.write_style()
-    pages.write(
-        "index.html",
-        "index.html",
-        "Topology-aware triangle soups, reproduced",
-        sentence=front.main_sentence(sources),
-        main=main,
-        parity=PARITY,
-        items=found,
-        counted=", ".join(f"{number} {word}" for word, number in counts.most_common()),
-        views=views,
-        made=f"Made by paper_artifact {__version__} from {_records(sources)} records; "
-        "python -m paper_artifact book makes it again.",
-    )
+    pages.write("index.html", "index.html", "Topology-aware triangle soups, reproduced", **front)
     pages.write("items.html", "items.html", f"The paper's {len(found)} items", items=found)
+    differing = [(item, item.claims[item.claims["holds"] == "no"]) for item in found]
     pages.write(
-        "differ.html", "differ.html", "Where we differ", deviations=deviating, errors=_linked(wrong, sources)
+        "differ.html", "differ.html", "Where we differ", items=[each for each in differing if len(each[1])]
     )
     pages.write("soups.html", "soups.html", "Final soups in three dimensions", views=views)
-    pages.write("figures.html", "figures.html", "Figures", groups=figures)
-    pages.write("tables.html", "tables.html", "Tables", own=OWN, groups=tables)
-    pages.write("notebooks.html", "notebooks.html", "Notebooks", chapters=list(sources.chapters.values()))
-    pages.write("api.html", "api.html", "Python API", packages=api.packages())
+    pages.write("figures.html", "figures.html", "Figures", groups=[each for each in figures if each[1]])
+    pages.write("notebooks.html", "notebooks.html", "Notebooks", chapters=chapters)
+    progress("reference")
+    write_reference(folder / "api")
     return found
 
 
-def _write_chapters(sources: Sources, pages: Pages) -> tuple[list, list]:
-    """Write the notebooks' pages, pictures and tables; return (chapter, files) of both for the lists."""
-    figures, tables = [], []
-    for chapter in sources.chapters.values():
-        pictures = write_figures(chapter, pages.folder / "figures")
-        names = write_tables(chapter, pages.folder / "tables")
-        if pictures:
-            figures.append((chapter, list(dict.fromkeys(pictures.values()))))
-        if names:
-            heads = [", ".join(filter(None, dict.fromkeys(rows[0])))[:90] for rows in chapter.tables]
-            tables.append((chapter, list(zip(names, heads, strict=True))))
-        pages.write(
-            "notebook.html",
-            f"notebooks/{chapter.name}.html",
-            chapter.title,
-            chapter=chapter,
-            content=notebook_body(copy.deepcopy(chapter), pictures),
+def items(claims: pd.DataFrame, folder: Path = PUBLISHED) -> list[Item]:
+    """Return the paper's items in its order. Raises InputError when `items.csv` cannot be read."""
+    try:
+        table = pd.read_csv(folder / "items.csv", dtype=str, keep_default_na=False)
+    except OSError as error:
+        raise InputError(f"there is no items.csv in {folder}; work in a checkout") from error
+    return [
+        Item(
+            row.item,
+            row.title,
+            tuple(row.notebooks.split()),
+            row.compared,
+            claims[claims["item"] == row.item],
         )
-    return figures, tables
+        for row in table.itertuples()
+    ]
 
 
-def _linked(errors: pd.DataFrame, sources: Sources) -> pd.DataFrame:
-    """The errors with, in place of the numbers of the notebooks that have our measurement, their names."""
-    names = list(sources.chapters)
-    found = (
-        errors["ours"]
-        .fillna("")
-        .map(lambda text: [name for name in names if name[:2] in re.findall(r"\d\d", text)])
-    )
-    return errors.assign(ours=found)
+def item_frame(found: Sequence[Item]) -> pd.DataFrame:
+    """Return one row per item: item, title, verdict, holds ("12 of 15"), notebooks, compared."""
+    rows = [(i.name, i.title, i.word, i.tally, " ".join(i.notebooks), i.compared) for i in found]
+    return pd.DataFrame(rows, columns=["item", "title", "verdict", "holds", "notebooks", "compared"])
 
 
-def _records(sources: Sources) -> int:
-    return len(list(sources.runs.glob("*.json")))
+def csv_text(frame: pd.DataFrame) -> str:
+    """Return the frame as CSV in which no text can be taken for a formula by a spreadsheet: a text that
+    begins with = + - @ or a tab is preceded by an apostrophe."""
+    texts = frame.select_dtypes(include=["object", "string", "category"]).columns
+    safe = frame.assign(**{name: frame[name].map(_no_formula) for name in texts})
+    return safe.to_csv(index=False, lineterminator="\n")
+
+
+def _no_formula(value: object) -> object:
+    risky = isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r")
+    return f"'{value}" if risky and not re.fullmatch(r"[+-]?[\d.]+", str(value)) else value
+
+
+def _scalars(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the frame without the columns of lists and arrays."""
+    lists = [name for name in runs if runs[name].map(lambda value: hasattr(value, "__len__")).any()]
+    return runs.drop(columns=[name for name in lists if not runs[name].map(type).isin([str, float]).all()])
+
+
+def read_chapter(path: Path, copy: Path) -> Chapter:
+    """Return the notebook at `path`, with the outputs of its executed copy where that has the same code and
+    no error. Raises InputError for a file that is no notebook."""
+    notebook = _read(path)
+    ran = _read(copy) if copy.is_file() else None
+    fresh = ran is not None and _code(ran) == _code(notebook) and not _failed(ran)
+    if fresh and ran is not None:
+        ran.cells = [cell for cell in ran.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
+        notebook = ran
+    heading = next((cell.source for cell in notebook.cells if cell.cell_type == "markdown"), path.stem)
+    title = re.sub(r"\s*\(.*\)\s*$", "", heading.splitlines()[0].lstrip("# "))
+    return Chapter(path.stem, title, notebook, fresh)
+
+
+def _read(path: Path) -> NotebookNode:
+    try:
+        return nbformat.read(path, as_version=4)
+    except Exception as error:  # nbformat raises many kinds
+        raise InputError(f"cannot read the notebook {path.name}; restore it with git") from error
+
+
+def _code(notebook: NotebookNode) -> list[str]:
+    """The sources without the parameters, which a profile may change."""
+    hidden = {"parameters", "injected-parameters"}
+    return [cell.source for cell in notebook.cells if not hidden & set(cell.metadata.get("tags", []))]
+
+
+def _failed(notebook: NotebookNode) -> bool:
+    outputs = [each for cell in notebook.cells for each in cell.get("outputs", [])]
+    counts = [cell.execution_count for cell in notebook.cells if cell.cell_type == "code"]
+    return any(each.output_type == "error" for each in outputs) or None in counts
+
+
+def write_figures(chapter: Chapter, folder: Path) -> dict[tuple[int, int], str]:
+    """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless `run-all` left an SVG of that
+    name there; return {(cell, output): file name}. Without a key for each picture, cell and place name it."""
+    names: dict[tuple[int, int], str] = {}
+    for number, cell in enumerate(chapter.notebook.cells):
+        drawn = [n for n, each in enumerate(cell.get("outputs", [])) if "image/png" in each.get("data", {})]
+        keys = SHOWN.findall(cell.source)
+        if len(keys) != len(drawn):
+            keys = [f"cell{number}_{place}" for place in range(len(drawn))]
+        for key, place in zip(keys, drawn, strict=True):
+            vector = folder / f"{chapter.name}_{key}.svg"
+            if not vector.is_file():
+                data = cell.outputs[place]["data"]["image/png"]
+                write_bytes(vector.with_suffix(".png"), base64.b64decode(data))
+            names[number, place] = vector.name if vector.is_file() else vector.with_suffix(".png").name
+    return names
+
+
+def write_reference(folder: Path) -> None:
+    """Write pdoc's pages of the modules `API` into `folder`."""
+    import pdoc
+
+    pdoc.render.configure(docformat="markdown", show_source=True)
+    pdoc.pdoc(*(f"paper_artifact.{name}" for name in API), output_directory=folder)
+
+
+class Pages:
+    """Writes pages into one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        from nbconvert import HTMLExporter
+
+        self.folder = folder
+        strict = {
+            "autoescape": True,
+            "undefined": StrictUndefined,
+            "trim_blocks": True,
+            "lstrip_blocks": True,
+        }
+        self.environment = Environment(loader=FileSystemLoader(TEMPLATES), **strict)
+        self.exporter = HTMLExporter(template_name="basic", exclude_anchor_links=True, sanitize_html=True)
+
+    def write(self, template: str, file: str, title: str, **content: Any) -> None:
+        """Write one page; `file` may lie one folder deeper. Raises InputError when it cannot be written."""
+        page = {"title": title, "menu": MENU, "here": file, "root": "../" * file.count("/")}
+        write_text(self.folder / file, self.environment.get_template(template).render(page | content))
+
+    def write_style(self) -> None:
+        """Write the style sheet: the templates' own and the colours of code."""
+        from pygments.formatters import HtmlFormatter
+
+        own = (TEMPLATES / "style.css").read_text(encoding="utf-8")
+        write_text(self.folder / "style.css", own + HtmlFormatter().get_style_defs(".highlight") + "\n")
+
+    def notebook_body(self, chapter: Chapter, pictures: dict[tuple[int, int], str]) -> Markup:
+        """Return the notebook as HTML for the inside of a page one folder deep, without any script; pictures:
+        {(cell, output): file in the folder figures}."""
+        notebook = nbformat.from_dict(chapter.notebook)
+        for (cell, output), file in pictures.items():
+            link = f"../figures/{file}"
+            image = f'<a href="{link}"><img src="{link}" alt="{escape(file)}"></a>'
+            notebook.cells[cell].outputs[output]["data"] = {"text/html": image}
+        body, _ = self.exporter.from_notebook_node(notebook)
+        return Markup(re.sub(r"<style scoped[^>]*>.*?</style>", "", body, flags=re.DOTALL))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from paper_artifact.files import RESULTS
+from paper_artifact.files import RESULTS, write_text
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS
 
 PARTS = 5  # what `build` tells of
@@ -44,21 +44,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Build the book and print its path and the verdicts. Returns 0; InputError goes to the caller."""
     from tqdm import tqdm
 
+    from paper_artifact import results
     from paper_artifact.book.build import build
-    from paper_artifact.book.front import write_picture
-    from paper_artifact.book.sources import Sources
+    from paper_artifact.book.main_result import PICTURE, main_runs, picture_svg
 
-    sources = Sources.read(arguments.notebooks, arguments.executed, arguments.runs)
     if arguments.refresh:
-        write_picture(sources)
+        write_text(PICTURE, picture_svg(main_runs(results.load())))
     with tqdm(total=PARTS, desc="book", unit="part", disable=arguments.quiet) as bar:
 
-        def tell(part: str) -> None:
+        def report(part: str) -> None:
             bar.set_postfix_str(part)
             bar.update()
 
-        found = build(arguments.out, sources, tell)
+        found = build(arguments.out, arguments.notebooks, arguments.executed, arguments.runs, report)
     for item in found:
-        print(f"{item.listed.item:<9} {item.word} ({item.tally})")
+        print(f"{item.name:<9} {item.word} ({item.tally})")
     print(f"book: {arguments.out / 'index.html'}")
     return 0
