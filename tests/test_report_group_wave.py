@@ -14,10 +14,10 @@ from paper_artifact.certify.certificate import certify, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.report import group_wave, measured
 from paper_artifact.report.kit.published import published
-from paper_artifact.report.kit.staircase import agreement, staircases
 from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.scene.sources import sources
+from paper_artifact.staircase import agreement, staircases
 from paper_artifact.study.dispositions import Disposition, dispositions
 from paper_artifact.study.studies import STUDIES
 

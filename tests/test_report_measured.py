@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from paper_artifact import staircase as kit
 from paper_artifact.bench.persistence import growth_text
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.errors import InputError
 from paper_artifact.report import cost, measured, speed, staircase, starts, windows
 from paper_artifact.report.kit import frames
-from paper_artifact.report.kit import staircase as kit
-from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import collect, collect_study
+from paper_artifact.results import published
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.topology.bundle import build_from_mesh

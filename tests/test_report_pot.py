@@ -12,8 +12,8 @@ from paper_artifact.ingest.hot_pot import pot_solid, raw_pot
 from paper_artifact.report import pot as report
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
-from paper_artifact.report.kit.staircase import DENSITIES, staircase
 from paper_artifact.scene.shapes import make_shape
+from paper_artifact.staircase import DENSITIES, staircase
 from tests import report_records
 
 

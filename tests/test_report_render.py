@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from paper_artifact.errors import InputError
-from paper_artifact.report.kit.render import AMBIENT, CUT, LIGHT, MARGIN, MATERIAL, render_flat
+from paper_artifact.export.flat import AMBIENT, CUT, LIGHT, MARGIN, MATERIAL, render_flat
 from paper_artifact.scene.shapes import make_shape
 
 SQUARE = np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]], dtype=float)  # in the plane y = 0

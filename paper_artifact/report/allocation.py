@@ -18,12 +18,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import BASELINE, PRIOR, shape_row, study_config, tag_of
+from paper_artifact.export.flat import render_flat
 from paper_artifact.mesh import Mesh
 from paper_artifact.pipeline import make_run_importance
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.records import Collected
-from paper_artifact.report.kit.render import render_flat
 from paper_artifact.report.kit.tables import beside
 from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, range_text
 from paper_artifact.sampling import face_areas

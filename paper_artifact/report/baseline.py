@@ -17,6 +17,7 @@ from paper_artifact.catalogue import BASELINE, shape_row, study_config
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores
 from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.export.flat import upright
 from paper_artifact.mesh import Mesh
 from paper_artifact.pipeline import prepare_scene, run
 from paper_artifact.raster.view import ViewRaster, make_camera
@@ -32,7 +33,6 @@ from paper_artifact.report.kit.figures import (
     plain_log,
 )
 from paper_artifact.report.kit.records import RETRAINED, Collected, collect, command, key, soup_path
-from paper_artifact.report.kit.render import upright
 from paper_artifact.report.kit.text import blank
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FAR, NEAR, Camera, look_at, world_to_clip
 from paper_artifact.scene.find import find_mesh

@@ -14,15 +14,15 @@ from matplotlib.figure import Figure
 
 from paper_artifact.catalogue import shape_row, shapes_of
 from paper_artifact.certify.certificate import certify_mesh
+from paper_artifact.export.flat import CUT, render_flat
 from paper_artifact.mesh import Mesh
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.records import Collected
-from paper_artifact.report.kit.render import CUT, render_flat
-from paper_artifact.report.kit.staircase import signature_table, staircase
 from paper_artifact.report.kit.tables import seed_table
 from paper_artifact.scene.find import surface
 from paper_artifact.scene.shapes import BOWL_RIMS
+from paper_artifact.staircase import signature_table, staircase
 from paper_artifact.topology.bundle import build_from_mesh
 
 DENSITIES = (2048, 4096, 8192, 20_000)

@@ -19,7 +19,9 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, load_json
 from paper_artifact.report.kit.frames import paper
 from paper_artifact.report.kit.published import published
-from paper_artifact.report.kit.staircase import (
+from paper_artifact.scene.fetch import mesh_path
+from paper_artifact.scene.sources import sources
+from paper_artifact.staircase import (
     DENSITIES,
     SEEDS,
     bar_name,
@@ -30,8 +32,6 @@ from paper_artifact.report.kit.staircase import (
     signatures,
     staircases,
 )
-from paper_artifact.scene.fetch import mesh_path
-from paper_artifact.scene.sources import sources
 from paper_artifact.study.dispositions import Disposition
 
 PLAN, CERTIFICATES = RESULTS / "plan" / "group_wave.json", RESULTS / "certificates"

@@ -28,6 +28,7 @@ from paper_artifact.config import GivenConfig
 from paper_artifact.evaluate.align import Similarity, similarity
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import Target, evaluate_samples, make_target, soup_samples
+from paper_artifact.export.flat import render_flat
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup
 from paper_artifact.files import REPOSITORY, RESULTS, write_bytes
 from paper_artifact.ingest.distance import nearest_on
@@ -36,7 +37,6 @@ from paper_artifact.pipeline import run
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import config_of, record_path
 from paper_artifact.report.kit.figures import image_rows
-from paper_artifact.report.kit.render import render_flat
 from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.scene.subject import Subject, subject_of_scene

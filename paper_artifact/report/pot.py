@@ -17,6 +17,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate
 from paper_artifact.evaluate.diagram import lifetimes
 from paper_artifact.evaluate.staircase import measure
+from paper_artifact.export.flat import CUT, render_flat
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest.hot_pot import inventory, shells_as_indexed
 from paper_artifact.ingest.solidify import Solid
@@ -25,16 +26,8 @@ from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.frames import arms
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected, collect
-from paper_artifact.report.kit.render import CUT, render_flat
-from paper_artifact.report.kit.staircase import (
-    DENSITIES,
-    SEEDS,
-    bars,
-    published_counts,
-    signature_table,
-    signatures,
-)
 from paper_artifact.report.kit.text import counts_text, span
+from paper_artifact.staircase import DENSITIES, SEEDS, bars, published_counts, signature_table, signatures
 from paper_artifact.study.studies import study_configs
 
 POT = shape_row("pot")

@@ -16,7 +16,8 @@ from paper_artifact.export.figures import INK, PAGE, new_figure
 from paper_artifact.report.kit.figures import MARKS, SERIES, label_axis, legend_below, plain_log
 from paper_artifact.report.kit.frames import shapes_in_order
 from paper_artifact.report.kit.published import published
-from paper_artifact.report.kit.staircase import (
+from paper_artifact.scene.shapes import SHAPES
+from paper_artifact.staircase import (
     DENSITIES,
     SEEDS,
     bars,
@@ -27,7 +28,6 @@ from paper_artifact.report.kit.staircase import (
     significant_counts,
     staircases,
 )
-from paper_artifact.scene.shapes import SHAPES
 
 ASIDE = 1.06  # times M: where every other bar of a shape is drawn
 Followed = Mapping[str, Sequence[str]]  # shape: names of its bars, ("loop 1", "loop 2")

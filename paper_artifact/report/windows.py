@@ -25,9 +25,9 @@ from paper_artifact.report.kit.figures import (
     plain_log,
 )
 from paper_artifact.report.kit.published import published
-from paper_artifact.report.kit.staircase import BAR_NAMES, bar_name, bars, staircase
 from paper_artifact.report.kit.text import span
 from paper_artifact.scene.find import surface
+from paper_artifact.staircase import BAR_NAMES, bar_name, bars, staircase
 
 FEATURE = ["shape", "M", "dimension", "bar", "acts"]
 STATISTICS = {"least": "min", "median": "median", "largest": "max"}
