@@ -18,8 +18,9 @@ import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 from paper_artifact.errors import InputError
 
@@ -27,6 +28,7 @@ RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})  # EFBIG: the process's own limit
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
@@ -108,7 +110,7 @@ def load_json(path: Path | str) -> Any:
     Raises OSError when it cannot be read, ValueError when it is damaged, holds NaN or is nested without end.
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        return json.loads(decoded(Path(path).read_bytes()), parse_constant=_refuse_constant)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
 
@@ -169,6 +171,76 @@ def inside(folder: Path, name: str) -> Path:
             "without '..' and without a symbolic link"
         )
     return path
+
+
+def find_file(folder: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path | None:
+    """Return the file that another file in `folder` names, None where there is none.
+
+    The name is taken as written, then with % escapes resolved and a backslash as /, each with every ending of
+    `endings` added. Where that is no file, a name that differs only in case or in its image ending is taken,
+    if there is just one. An absolute name, or one with '..', is looked for by its last parts. Raises
+    InputError as `inside` does.
+    """
+    plain = unquote(name).replace("\\", "/")
+    for each in (name, plain):
+        for ending in endings:
+            if not _leads_out(each) and (path := inside(folder, each + ending)).is_file():
+                return path
+    parts = [part for part in PurePosixPath(plain).parts if part not in ("/", ".", "..") and part[1:] != ":"]
+    tails = range(len(parts)) if _leads_out(plain) else range(1)
+    for start in tails:
+        found = _nearly(folder, parts[start:], endings)
+        if len(found) == 1:
+            return inside(folder, str(found[0].relative_to(folder)))
+    return None
+
+
+def _leads_out(name: str) -> bool:
+    return name.startswith(("/", "\\")) or name[1:2] == ":" or ".." in name.replace("\\", "/").split("/")
+
+
+def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Path]:
+    """Return the files below `folder` that `parts` name but for case and, at the end, image ending."""
+    places = [folder]
+    for number, part in enumerate(parts):
+        last, wanted = number == len(parts) - 1, part.casefold()
+        images = wanted.endswith(IMAGE_ENDINGS)
+        names = {wanted, *(wanted + ending.casefold() for ending in endings)} if last else {wanted}
+        if last and images:
+            names |= {wanted.rpartition(".")[0] + ending for ending in IMAGE_ENDINGS}
+        try:
+            entries = [entry for place in places for entry in sorted(place.iterdir())]
+        except OSError:
+            return []
+        named = [entry for entry in entries if entry.name.casefold() in names]
+        exact = [entry for entry in named if entry.name == part]
+        places = [entry for entry in exact or named if (entry.is_file() if last else entry.is_dir())]
+    return places
+
+
+def decoded(data: bytes) -> str:
+    """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one, else
+    Latin-1. Every line ends in a line feed.
+    """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text = data.decode("utf-16", errors="replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def whole(word: str) -> int:
+    """Return the whole number that a word states, as 64, 64.0 or 6.4e1. Raises ValueError for any other."""
+    try:
+        return int(word)
+    except ValueError:
+        value = float(word)
+    if not value.is_integer():
+        raise ValueError(f"{word} is no whole number")
+    return int(value)
 
 
 def _array(data: bytes) -> Any:

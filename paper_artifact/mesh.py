@@ -1,28 +1,25 @@
-"""Triangle meshes: the one dataclass, exact welding, validation, and reading files through trimesh."""
+"""Triangle meshes: the one dataclass, exact welding, validation, and reading files."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import logging
-import warnings
+import tempfile
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import check_archive
+from paper_artifact.formats.gltf import read_gltf
+from paper_artifact.formats.polygons import read_obj, read_off, read_ply, read_stl
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
-MOST_FACES = 20_000_000  # of a file, its instances counted each time
+READERS = {"obj": read_obj, "ply": read_ply, "off": read_off, "stl": read_stl, "glb": None, "gltf": None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,57 +109,82 @@ def checked_mesh(
 
 
 def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
-    """Read any mesh file that trimesh reads; the Mesh is named after the file, its `betti` is None.
+    """Read an OBJ, PLY, OFF, STL, glTF or GLB file, or a zip that holds one; the Mesh is named after the
+    file, its `betti` is None.
 
     Faces are indexed by position alone: equal points are welded exactly, so texture seams (OBJ `v/vt`) and
-    STL's separate corners do not cut the surface open. Polygons are triangulated by the fan 0-2, the parts of
-    a scene file (GLB) are placed by their transforms and concatenated. `welded=False` keeps the file's own
+    STL's separate corners do not cut the surface open. Polygons are triangulated (`formats.polygons`), the
+    parts of a glTF scene placed by their transforms and concatenated. `welded=False` keeps the file's own
     vertices.
 
-    Raises InputError for a missing, unreadable, truncated or foreign file and for what `checked_mesh`
-    refuses.
+    Raises InputError for a missing, unreadable, truncated or foreign file, for a part of a format that is not
+    read, and for what `checked_mesh` refuses.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")
     kind = path.suffix.lower().lstrip(".")
-    if kind not in trimesh.exchange.load.mesh_formats() | {"zip"}:
+    if kind == "zip":
+        return replace(_zipped(path, welded), name=path.stem)
+    if kind not in READERS:
         raise InputError(
-            f"{path}: '{path.suffix}' is no mesh format that trimesh reads; use OBJ, PLY, OFF, STL or GLB"
+            f"{path}: '{path.suffix}' is no mesh format that is read; use OBJ, PLY, OFF, STL, GLB or glTF"
         )
     try:
-        if kind in ("obj", "off"):
-            _check_whole(path, kind)
-        _check_declared(path, kind)
-        with _silent_trimesh():
-            parts = _scene_parts(trimesh.load_scene(path, process=False, maintain_order=True))
-    except InputError:
-        raise
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
+    if not data.strip():
+        raise InputError(f"{path} is empty; give a mesh file with vertices and faces")
+    try:
+        parts = read_gltf(path, data) if kind in ("glb", "gltf") else [READERS[kind](data)]
+    except InputError as error:
+        raise InputError(f"{path} is not read: {error}") from error
     except MemoryError as error:
         raise InputError(f"{path} does not fit into memory; simplify it first") from error
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
-    except Exception as error:  # trimesh's parsers raise whatever their parsing meets
+        raise InputError(f"cannot read what {path} refers to: {error}") from error
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:150]
         raise InputError(
-            f"{path} is damaged or no {kind.upper()} mesh ({type(error).__name__}: {_short(error)}); "
+            f"{path} is damaged or no {kind.upper()} mesh ({reason}); "
             "export it again or correct its extension"
         ) from error
-    if not parts:
+    if not sum(len(faces) for _, faces in parts):
         raise InputError(
             f"{path} has no triangles; it is empty, damaged, or holds points or curves instead of a surface"
         )
-    if kind == "zip" and len(parts) > 1:
-        raise InputError(f"{path} holds {len(parts)} meshes; unpack it and name one of them")
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     for vertices, faces in parts:
         _check_indices(vertices, faces, str(path))
-    mesh = checked_mesh(
-        np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)]),
-        str(path),
-        welded=welded,
-    )
-    return Mesh(mesh.vertices, mesh.faces, path.stem)
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    faces = np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)])
+    used, finite = np.zeros(len(vertices), bool), np.isfinite(vertices).all(axis=1)
+    used[faces] = True
+    if not (finite | used).all():  # scanners write NaN for pixels without depth; no face uses them
+        kept = finite | used
+        vertices, faces = vertices[kept], (np.cumsum(kept) - 1)[faces]
+    return replace(checked_mesh(vertices, faces, str(path), welded=welded), name=path.stem)
+
+
+def _zipped(path: Path, welded: bool) -> Mesh:
+    """Return the one mesh of a zip archive."""
+    try:
+        with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+            check_archive(archive)
+            names = [
+                name
+                for name in archive.namelist()
+                if Path(name).suffix.lower()[1:] in READERS and not name.startswith("__MACOSX/")
+            ]
+            if len(names) != 1:
+                raise InputError(f"{path} holds {len(names)} meshes; unpack it and name one of them")
+            archive.extractall(folder)
+            return load_mesh(Path(folder) / names[0], welded)
+    except InputError as error:
+        raise InputError(str(error).replace(f"{folder}/", f"{path}: ")) from error
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise InputError(f"{path} is damaged or no zip archive ({error}); copy it again") from error
 
 
 def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
@@ -172,98 +194,3 @@ def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
             f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}; "
             "the file is damaged or cut off, export it again"
         )
-
-
-def _scene_parts(scene: trimesh.Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the scene's meshes as (vertices, faces), each placed by its node's transform; no points, no
-    curves.
-    """
-    parts, count = [], 0
-    for node in sorted(scene.graph.nodes_geometry):
-        transform, key = scene.graph[node]
-        geometry = scene.geometry[key]
-        count += len(getattr(geometry, "faces", ()))
-        if count > MOST_FACES:
-            raise ValueError(f"it has more than {MOST_FACES} triangles")
-        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
-            continue
-        vertices = np.asarray(geometry.vertices, dtype=np.float64)
-        faces = np.asarray(geometry.faces, dtype=np.int64)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
-            raise ValueError(f"its points and triangles come as {vertices.shape} and {faces.shape}")
-        if not np.array_equal(transform, np.eye(4)):
-            vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
-            if np.linalg.det(transform[:3, :3]) < 0:
-                faces = faces[:, ::-1]  # a mirroring transform turns the winding inside out
-        parts.append((vertices, faces))
-    return parts
-
-
-def _check_whole(path: Path, kind: str) -> None:
-    """Refuse OBJ and OFF texts that were cut off: trimesh reads what is left of them without a word."""
-    lines = [
-        line.split("#")[0].split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
-    ]
-    lines = [line for line in lines if line]
-    if not lines:
-        raise InputError(f"{path} is empty; give a mesh file with vertices and faces")
-    whole = True
-    if kind == "obj":
-        keyword, count = lines[-1][0], len(lines[-1]) - 1
-        whole = not (keyword in ("v", "f", "vn") and count < 3)
-    elif lines[0][0].upper().endswith("OFF"):
-        header = lines[0][1:] + (lines[1] if len(lines[0]) == 1 and len(lines) > 1 else [])
-        rows = lines[1:] if len(lines[0]) > 1 else lines[2:]
-        if len(header) >= 2 and header[0].isdigit() and header[1].isdigit() and int(header[1]) > 0:
-            rows = rows[: int(header[0]) + int(header[1])]
-            whole = (
-                len(rows) == int(header[0]) + int(header[1])
-                and rows[-1][0].isdigit()
-                and (len(rows[-1]) > int(rows[-1][0]))
-            )
-    if not whole:
-        raise InputError(
-            f"{path} is cut off: its last line or its number of lines is short; copy or export it again"
-        )
-
-
-def _check_declared(path: Path, kind: str) -> None:
-    """Raise ValueError for a file that makes trimesh ask for far more memory than the file has bytes."""
-    if kind == "zip":
-        with zipfile.ZipFile(path) as archive:
-            check_archive(archive)
-    if kind not in ("glb", "gltf"):
-        return
-    data = path.read_bytes()
-    text = data
-    if kind == "glb":
-        chunks, place = [], 12
-        while place + 8 <= len(data):
-            length = int.from_bytes(data[place : place + 4], "little")
-            chunks.append(data[place + 8 : place + 8 + length])
-            place += 8 + length
-        if place > len(data) or not chunks:
-            raise ValueError(f"it ends before its byte {place}")
-        text = chunks[0]
-    header = json.loads(text)
-    empty = sum(each["count"] for each in header.get("accessors", ()) if "bufferView" not in each)
-    if empty > len(data):
-        raise ValueError(f"it names {empty} values that it does not hold")
-
-
-@contextmanager
-def _silent_trimesh() -> Iterator[None]:
-    """Keep trimesh's log lines and warnings from the terminal while it parses."""
-    logger = logging.getLogger("trimesh")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or "no message"

@@ -165,8 +165,8 @@ def test_arrays_come_back_as_they_were(tmp_path):
         ),
         (lambda head: head["accessors"][1].update(count=10**10), "damaged"),
         (lambda head: head["bufferViews"][0].update(byteLength=10**10), "damaged"),
-        (lambda head: head["buffers"][0].update(uri="../../../../../../etc/passwd"), "damaged"),
-        (lambda head: head["nodes"][0].update(children=[0]), None),
+        (lambda head: head["buffers"][0].update(uri="../../../../../../etc/passwd"), "not in the folder"),
+        (lambda head: head["nodes"][0].update(children=[0]), "two parents"),
     ],
 )
 def test_models_that_declare_what_they_do_not_hold(change, words, tmp_path):
@@ -180,15 +180,12 @@ def test_models_that_declare_what_they_do_not_hold(change, words, tmp_path):
     file = tmp_path / "ball.glb"
     total = 20 + len(text) + len(rest)
     file.write_bytes(data[:8] + struct.pack("<III", total, len(text), 0x4E4F534A) + text + rest)
-    if words is None:
-        assert len(load_mesh(file).faces) == 80
-    else:
-        with pytest.raises(InputError, match=rf"ball.glb .*{words}"):
-            load_mesh(file)
+    with pytest.raises(InputError, match=rf"ball.glb .*{words}"):
+        load_mesh(file)
 
 
 def test_a_model_with_more_instances_than_memory_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("paper_artifact.mesh.MOST_FACES", 1000)
+    monkeypatch.setattr("paper_artifact.formats.gltf.MOST_FACES", 1000)
     scene, ball = trimesh.Scene(), trimesh.creation.icosphere(1)
     for x in range(13):
         scene.add_geometry(
@@ -210,7 +207,7 @@ def test_a_model_that_is_cut_off_asks_for_no_memory(tmp_path):
     data = trimesh.creation.icosphere(1).export(file_type="glb")
     place = data.index(b"BIN\0") - 4
     (tmp_path / "ball.glb").write_bytes(data[:place] + b"\xff\xff\xff\xff" + data[place + 4 :])
-    with pytest.raises(InputError, match=r"ball.glb is damaged .*it ends before its byte"):
+    with pytest.raises(InputError, match=r"ball.glb is damaged .*a chunk is longer than the file"):
         load_mesh(tmp_path / "ball.glb")
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import pytest
 import trimesh
@@ -101,13 +99,13 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("text.obj", b"these words are no mesh\n" * 9, "no triangles"),
         ("noise.obj", bytes(range(256)) * 40, "noise.obj"),
         ("noise.ply", bytes(range(256)) * 40, "damaged or no PLY mesh"),
-        ("noise.stl", bytes(range(256)) * 40, "no triangles"),
+        ("noise.stl", bytes(range(256)) * 40, "damaged or no STL mesh"),
         ("noise.off", bytes(range(256)) * 40, "noise.off"),
         ("noise.glb", bytes(range(256)) * 40, "damaged or no GLB mesh"),
         ("half.obj", (TRIANGLE + "f 1 2 3\nf 1 2").encode(), "cut off"),
         ("half.off", b"OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "cut off"),
         ("beyond.obj", (TRIANGLE + "f 1 2 7\n").encode(), "beyond.obj"),
-        ("beyond.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "outside the range"),
+        ("beyond.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "vertex 9 of 3"),
         ("beyond.ply", PLY.encode(), "vertex 9 of 3"),
         ("nan.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", "1 vertices with NaN"),
         ("infinite.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "infinite.obj"),
@@ -125,7 +123,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, capfd, name, content, w
         load_mesh(path)
     assert words in str(refused.value) and str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
-    assert capfd.readouterr() == ("", ""), "trimesh stays silent"
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("kind", ["ply", "off", "stl", "glb"])
@@ -152,10 +150,3 @@ def test_arrays_are_checked_like_files():
         checked_mesh(square, np.zeros((0, 3), int), "soup")
     with pytest.raises(InputError, match="vertex -1"):
         checked_mesh(square, [[0, 1, -1]], "soup")
-
-
-def test_loading_leaves_the_log_level_as_it_was(tmp_path):
-    level = logging.getLogger("trimesh").level
-    box().export(tmp_path / "box.ply")
-    load_mesh(tmp_path / "box.ply")
-    assert logging.getLogger("trimesh").level == level

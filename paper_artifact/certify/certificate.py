@@ -10,17 +10,22 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from paper_artifact.certify.homology import (
     betti_numbers,
     check_surface,
     dual_voids,
+    edges_of,
+    labels_of_graph,
     make_complex,
     open_edge_count,
 )
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, weld
 
+LONGEST = 12  # components that are listed
+NEAR = 1e-6  # of the diagonal: single precision's rounding, a few times over
 # What is counted per component and in all: fields of SurfaceChecks, Component and Certificate.
 FAULTS = ("open_edges", "boundary_loops", "nonmanifold_edges", "pinched_vertices", "reversed_edges")
 
@@ -171,7 +176,7 @@ def certify(
         with_boundary=with_boundary,
         verdict="fail" if reasons else "pass",
         reasons=tuple(reasons),
-        notes=tuple(_notes(checks, components, len(faces) - len(indexed))),
+        notes=tuple(_notes(checks, components, len(faces) - len(indexed)) + _apart(welded, indexed)),
     )
 
 
@@ -255,6 +260,28 @@ def _notes(checks, components, collapsed: int) -> list[str]:
     return notes
 
 
+def _apart(vertices: np.ndarray, faces: np.ndarray) -> list[str]:
+    """Return a note where open edges come from points that a writer has rounded apart, nothing elsewhere."""
+    edges, face_edges = edges_of(faces, len(vertices))
+    ends = np.unique(edges[np.bincount(face_edges.reshape(-1)) == 1])
+    if len(ends) < 2:
+        return []
+    most = NEAR * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    points = vertices[ends]
+    distance, other = cKDTree(points).query(points, k=min(8, len(ends)), distance_upper_bound=most)
+    one, place = np.nonzero(np.isfinite(distance[:, 1:]))
+    labels = labels_of_graph(ends[one], ends[other[one, place + 1]], len(vertices))
+    before, after = open_edge_count(faces, len(vertices)), open_edge_count(labels[faces], len(vertices))
+    if after >= before:
+        return []
+    apart = distance[one, place + 1].max()
+    return [
+        f"{_count(len(np.unique(one)), 'point')} on open edges within {apart:.1e} of another, as rounding "
+        f"leaves them; with such points merged {after} of {before} edges would be open: merge by "
+        "distance (in Blender: Mesh, Merge, By Distance) and certify again"
+    ]
+
+
 def _kind(components: list[Component]) -> str:
     """Return what the mesh is, in words: of one component its surface, else how many of which sort."""
     sorts: dict[str, int] = {}
@@ -278,9 +305,6 @@ def _sort_of(each: Component) -> str:
 
 def _count(number: int, singular: str, plural: str | None = None) -> str:
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
-
-
-LONGEST = 12  # components that are listed
 
 
 def verdict_text(certificate: Certificate) -> str:

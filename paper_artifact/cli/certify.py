@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "mesh",
         nargs="?",
-        help="a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape",
+        help="a mesh file (OBJ, PLY, STL, OFF, glTF, GLB), the key of an external mesh, or an analytic shape",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the whole certificate as JSON")
     parser.add_argument(

@@ -1,0 +1,377 @@
+"""OBJ, OFF, PLY and STL files, and their polygons as triangles.
+
+Each reader takes a file's bytes and returns points (V,3) float64, in the file's order and units, and
+triangles (F,3) int64. It raises ValueError for a damaged file (the counts that a file declares are compared
+with what it holds) and InputError for a part of the format that is not read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import decoded, whole
+
+Triangles = tuple[np.ndarray, np.ndarray]
+
+NOT_POLYGONS = {"surf": "free-form surfaces", "bsp": "patches", "bzp": "patches", "cdp": "patches"}  # of OBJ
+PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
+PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+BENT = 1e-3  # of a polygon's length: one this far from a plane has no crossing that could be told
+FLAT = 1e-9  # of a polygon's area: what a triangle may be wound the wrong way by rounding
+
+
+def read_obj(data: bytes) -> Triangles:
+    """Return the faces of a Wavefront OBJ file; its points, lines, texture and normals are left out."""
+    points: list[list[float]] = []
+    corners: list[str] = []
+    sizes: list[int] = []
+    known: list[
+        int
+    ] = []  # how many points the file has when it names a face: negative indices count from there
+    for number, line in enumerate(decoded(data).replace("\\\n", " ").split("\n"), start=1):
+        keyword, *words = (line.partition("#")[0] if "#" in line else line).split() or ("",)
+        if keyword == "v":
+            if len(words) < 3:
+                raise ValueError(f"cut off at line {number}, a vertex with {len(words)} of 3 coordinates")
+            points.append([float(word) for word in words[:3]])
+        elif keyword in ("f", "fo"):
+            if len(words) < 3:
+                raise ValueError(f"cut off at line {number}, a face with {len(words)} corners")
+            corners += words
+            sizes.append(len(words))
+            known.append(len(points))
+        elif keyword in NOT_POLYGONS:
+            raise InputError(
+                f"it has {NOT_POLYGONS[keyword]} ({keyword}), which are not read; export it as polygons"
+            )
+        elif keyword == "call":
+            raise InputError("it takes in other files (call), which are not read; export it as one file")
+    index = _whole_numbers(word.partition("/")[0] for word in corners)
+    if (index == 0).any():
+        raise ValueError("a face refers to vertex 0, and OBJ counts from 1")
+    count = np.repeat(known, sizes).astype(np.int64)
+    index = np.where(index > 0, index - 1, count + index)
+    if (index < 0).any():
+        raise ValueError("a face counts back to before the first vertex")
+    positions = np.array(points, dtype=np.float64).reshape(-1, 3)
+    return positions, triangulated(positions, index, np.array(sizes, dtype=np.int64))
+
+
+def read_off(data: bytes) -> Triangles:
+    """Return the faces of an OFF file in text; normals, colours and edges are left out."""
+    rows = [line.partition("#")[0].split() for line in decoded(data).split("\n")]
+    rows = [row for row in rows if row]
+    header = re.fullmatch(r"((?:ST)?C?N?)(4?n?)OFF(\d*)", rows[0][0]) if rows else None
+    if header is None and not (rows and rows[0][0].isdigit()):
+        raise ValueError("its first word is not OFF")
+    if header is not None:
+        if header[2] or "BINARY" in rows[0]:
+            raise InputError(f"it is a {' '.join(rows[0])} file; only three-dimensional text is read")
+        rows[0] = [header[3], *rows[0][1:]] if header[3] else rows[0][1:]
+        rows = rows if rows[0] else rows[1:]
+    if not rows or len(rows[0]) < 2:
+        raise ValueError("it declares no numbers of vertices and faces")
+    count, faces = (whole(word) for word in rows[0][:2])
+    rows = rows[1:]
+    if len(rows) != count + faces or min(count, faces) < 0:
+        cut = "cut off: " if len(rows) < count + faces else ""
+        raise ValueError(f"{cut}it declares {count} vertices and {faces} faces, and has {len(rows)} lines")
+    if any(len(row) < 3 for row in rows[:count]):
+        raise ValueError("a vertex has fewer than three coordinates")
+    points = np.array([[float(word) for word in row[:3]] for row in rows[:count]]).reshape(-1, 3)
+    sizes = _whole_numbers(row[0] for row in rows[count:])
+    if any(len(row) <= size for row, size in zip(rows[count:], sizes.tolist(), strict=True)):
+        raise ValueError("cut off: a face has fewer corners than it declares")
+    named = zip(rows[count:], sizes.tolist(), strict=True)
+    index = _whole_numbers(word for row, size in named for word in row[1 : 1 + max(size, 0)])
+    return points, triangulated(points, index, sizes)
+
+
+def read_stl(data: bytes) -> Triangles:
+    """Return the triangles of an STL file, text or binary; each has its own three points."""
+    count = int.from_bytes(data[80:84], "little")
+    named = data.lstrip(b"\xef\xbb\xbf \t\r\n")[:5].lower() == b"solid"
+    if len(data) != 84 + 50 * count and named and (b"facet" in data.lower() or len(data) < 84):
+        text = decoded(data)
+        facets, ends, whole_file = (
+            len(re.findall(rf"^\s*{word}\b", text, re.MULTILINE | re.IGNORECASE))
+            for word in ("facet", "endfacet", "endsolid")
+        )
+        vertices = re.findall(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", text, re.MULTILINE | re.IGNORECASE)
+        if not whole_file or ends != facets:
+            raise ValueError("cut off before its 'endsolid'")
+        if len(vertices) != 3 * facets:
+            raise ValueError(f"it has {facets} facets with {len(vertices)} vertices, not three for each")
+        points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    else:
+        if len(data) < 84 + 50 * count:
+            held = max(0, len(data) - 84) // 50
+            raise ValueError(f"cut off: it declares {count} triangles, and has bytes for {held}")
+        if count == 0 and len(data) >= 134:
+            raise ValueError("it declares 0 triangles, and more bytes follow")
+        layout = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("colour", "<u2")])
+        points = np.frombuffer(data, layout, count, 84)["points"].astype(np.float64).reshape(-1, 3)
+    return points, np.arange(len(points)).reshape(-1, 3)
+
+
+def read_ply(data: bytes) -> Triangles:
+    """Return the faces and triangle strips of a PLY file, text or binary; all else is left out."""
+    elements = read_ply_elements(data)
+    if "vertex" not in elements or not {"x", "y", "z"} <= elements["vertex"].keys():
+        raise ValueError("it has no vertices with x, y and z")
+    points = np.stack([elements["vertex"][axis].astype(np.float64) for axis in "xyz"], axis=1)
+    if "range_grid" in elements and "face" not in elements:
+        raise InputError("it is a range scan (range_grid) without faces; export it as a mesh")
+    parts = [np.zeros((0, 3), dtype=np.int64)]
+    for element, columns in elements.items():
+        lists = {name: column for name, column in columns.items() if isinstance(column, tuple)}
+        chosen = [name for name in ("vertex_indices", "vertex_index") if name in lists]
+        if element == "face" and columns and not chosen:
+            raise ValueError("its faces have no list vertex_indices")
+        for name in chosen:
+            index, sizes = lists[name]
+            if element == "face":
+                parts.append(triangulated(points, index.astype(np.int64), sizes))
+            elif element == "tristrips":
+                runs = np.split(index.astype(np.int64), np.cumsum(sizes)[:-1])
+                parts += [strip_triangles(each) for run in runs for each in _between(run)]
+    return points, np.concatenate(parts)
+
+
+def read_ply_elements(data: bytes) -> dict[str, dict]:
+    """Return what a PLY file holds: element → property → (n,) array, or (values, (n,) sizes) of a list.
+
+    Raises ValueError for a damaged file.
+    """
+    header = re.match(rb"(?:\xef\xbb\xbf)?\s*ply\s.*?\bend_header[ \t]*(\r\n|\n|\r)", data, re.DOTALL)
+    if header is None:
+        raise ValueError("it has no PLY header")
+    lines = [line.split() for line in decoded(header[0]).split("\n")]
+    form, elements = "", []
+    for words in lines:
+        match words:
+            case ["format", form, *_]:
+                pass
+            case ["element", name, number]:
+                elements.append((name, whole(number), []))
+            case ["property", "list", size, kind, name] if elements:
+                elements[-1][2].append((name, PLY_TYPES[size], PLY_TYPES[kind]))
+            case ["property", kind, name] if elements:
+                elements[-1][2].append((name, "", PLY_TYPES[kind]))
+    if min((count for _, count, _ in elements), default=0) < 0:
+        raise ValueError("it declares a negative number of elements")
+    if form == "ascii":
+        stream: _Words | _Bytes = _Words(np.array(decoded(data[header.end() :]).split(), dtype=np.float64))
+    elif form in ("binary_little_endian", "binary_big_endian"):
+        stream = _Bytes(data[header.end() :], "<" if form == "binary_little_endian" else ">")
+    else:
+        raise ValueError(f"its format is {form!r}")
+    found = {name: _rows(stream, count, columns) for name, count, columns in elements}
+    if form == "ascii" and stream.place != len(stream.words):
+        raise ValueError(f"it holds {len(stream.words) - stream.place} numbers more than it declares")
+    return found
+
+
+class _Words:
+    """The numbers of a text, taken in order as float64, whatever their declared type."""
+
+    def __init__(self, words: np.ndarray) -> None:
+        self.words, self.place = words, 0
+
+    def take(self, count: int, kinds: list[str]) -> list[np.ndarray]:
+        """Return `count` rows as a column per kind."""
+        end = self.place + count * len(kinds)
+        if end > len(self.words):
+            raise ValueError("cut off: it holds fewer numbers than it declares")
+        table = self.words[self.place : end].reshape(count, len(kinds))
+        self.place = end
+        return list(table.T)
+
+
+class _Bytes:
+    """Binary numbers, taken in order."""
+
+    def __init__(self, data: bytes, order: str) -> None:
+        self.data, self.order, self.place = data, order, 0
+
+    def take(self, count: int, kinds: list[str]) -> list[np.ndarray]:
+        """Return `count` rows as a column per kind."""
+        layout = np.dtype([(str(i), self.order + kind) for i, kind in enumerate(kinds)])
+        if self.place + count * layout.itemsize > len(self.data):
+            raise ValueError("cut off: it holds fewer bytes than it declares")
+        table = np.frombuffer(self.data, layout, count, self.place)
+        self.place += count * layout.itemsize
+        return [table[str(i)] for i in range(len(kinds))]
+
+
+def _rows(stream: _Words | _Bytes, count: int, columns: list[tuple[str, str, str]]) -> dict:
+    """Return the columns of an element's rows; a list is the values of all rows and their numbers."""
+    if not any(size for _, size, _ in columns):
+        taken = stream.take(count, [kind for _, _, kind in columns]) if columns else []
+        return {name: column for (name, _, _), column in zip(columns, taken, strict=True)}
+    place, length = stream.place, {}
+    if count:  # lists that are as long in every row as in the first are read at once
+        for name, size, kind in columns:
+            length[name] = int(stream.take(1, [size])[0][0]) if size else 1
+            stream.take(max(length[name], 0), [kind])
+        stream.place = place
+        kinds = [
+            each
+            for name, size, kind in columns
+            for each in ([size] if size else []) + [kind] * max(length[name], 0)
+        ]
+        with_equal = _equal_rows(stream, count, columns, kinds, length)
+        if with_equal is not None:
+            return with_equal
+        stream.place = place
+    values: dict[str, list] = {name: [] for name, _, _ in columns}
+    sizes: dict[str, list[int]] = {name: [] for name, size, _ in columns if size}
+    for _ in range(count):
+        for name, size, kind in columns:
+            number = int(stream.take(1, [size])[0][0]) if size else 1
+            if number < 0:
+                raise ValueError(f"a list {name} with {number} values")
+            values[name].append(stream.take(number, [kind])[0])
+            if size:
+                sizes[name].append(number)
+    flat = {name: np.concatenate(each) if each else np.zeros(0) for name, each in values.items()}
+    return {
+        name: (each, np.array(sizes[name], dtype=np.int64)) if name in sizes else each
+        for name, each in flat.items()
+    }
+
+
+def _equal_rows(stream, count, columns, kinds, length) -> dict | None:
+    """Return `_rows` of rows that all have the first one's lengths, None where they have not."""
+    try:
+        taken = iter(stream.take(count, kinds))
+    except ValueError:
+        return None
+    result: dict = {}
+    for name, size, _ in columns:
+        if not size:
+            result[name] = next(taken)
+            continue
+        if (next(taken) != length[name]).any():
+            return None
+        each = [next(taken) for _ in range(length[name])]
+        flat = np.stack(each, axis=1).reshape(-1) if each else np.zeros(0)
+        result[name] = flat, np.full(count, length[name], dtype=np.int64)
+    return result
+
+
+def _between(run: np.ndarray) -> list[np.ndarray]:
+    """Return the pieces of a strip that -1 divides."""
+    return [each[each >= 0] for each in np.split(run, np.flatnonzero(run < 0))]
+
+
+def _whole_numbers(words: Iterable[str]) -> np.ndarray:
+    words = list(words)
+    try:
+        numbers = [int(word) for word in words]
+    except ValueError:
+        numbers = [whole(word) for word in words]
+    return np.array(numbers, dtype=np.int64)
+
+
+def strip_triangles(index: np.ndarray) -> np.ndarray:
+    """Return the triangles (n-2,3) of a strip (n,), wound alike, without those that name a point twice."""
+    faces = (
+        np.stack([index[:-2], index[1:-1], index[2:]], axis=1) if len(index) > 2 else np.zeros((0, 3), int)
+    )
+    faces[1::2] = faces[1::2, ::-1]
+    a, b, c = faces.T
+    return faces[(a != b) & (b != c) & (c != a)]
+
+
+def triangulated(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Return the triangles (F,3) int64 of polygons: `corners`, one polygon after another, `sizes` of each.
+
+    Polygons are cut by the fan from their first corner where its triangles do not overlap, else by ears; what
+    has fewer than three corners is left out. Raises ValueError for a corner beyond the points, InputError for
+    a polygon that crosses itself.
+    """
+    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
+        wrong = corners[(corners < 0) | (corners >= len(points))][0]
+        raise ValueError(f"cut off or damaged: a face refers to vertex {wrong} of {len(points)}")
+    first = np.cumsum(sizes) - sizes
+    number = np.maximum(sizes - 2, 0)
+    place = np.cumsum(number) - number
+    faces = np.empty((int(number.sum()), 3), dtype=np.int64)
+    for size in np.unique(sizes[sizes > 2]).tolist():
+        rows = np.flatnonzero(sizes == size)
+        polygons = corners[first[rows, None] + np.arange(size)]
+        later = np.arange(1, size - 1)
+        fan = np.stack(
+            [
+                np.broadcast_to(polygons[:, :1], (len(rows), size - 2)),
+                polygons[:, later],
+                polygons[:, later + 1],
+            ],
+            axis=2,
+        )
+        if size == 4:
+            fan[:, 1] = polygons[:, [2, 3, 0]]
+        if size > 3:
+            for row in np.flatnonzero(_overlapping(points, polygons)).tolist():
+                fan[row] = polygons[row][_ears(points[polygons[row]])]
+        faces[place[rows, None] + np.arange(size - 2)] = fan
+    return faces
+
+
+def _overlapping(points: np.ndarray, polygons: np.ndarray) -> np.ndarray:
+    """Return of which polygons (n,k) the fan from the first corner has triangles wound the other way."""
+    arms = points[polygons[:, 1:]] - points[polygons[:, :1]]
+    with np.errstate(over="ignore", invalid="ignore"):
+        areas = np.cross(arms[:, :-1], arms[:, 1:])  # (n,k-2,3), twice the vector area of each triangle
+        normal = areas.sum(axis=1)
+        signed, whole_area = np.einsum("nki,ni->nk", areas, normal), (normal * normal).sum(axis=1)
+        crossed = whole_area <= FLAT**2 * (areas * areas).sum(axis=(1, 2))
+        return (signed < -FLAT * whole_area[:, None]).any(axis=1) | (crossed & (areas != 0).any(axis=(1, 2)))
+
+
+def _ears(corners: np.ndarray) -> np.ndarray:
+    """Return triangles (k-2,3) of corner numbers that cut a polygon (k,3) without overlap, by its ears."""
+    arms = corners[1:] - corners[0]
+    normal = np.cross(arms[:-1], arms[1:]).sum(axis=0)
+    axis = int(np.abs(normal).argmax())
+    flat = np.delete(corners - corners[0], axis, axis=1)  # seen along the axis that shows most of the area
+    flat[:, 1] *= np.sign(normal[axis]) * (-1.0 if axis == 1 else 1.0)
+    area = abs(float(normal[axis]))
+    least, left, ears = FLAT * area, list(range(len(flat))), []
+
+    def turn(a, b, c):
+        return (flat[b, 0] - flat[a, 0]) * (flat[c, 1] - flat[a, 1]) - (flat[b, 1] - flat[a, 1]) * (
+            flat[c, 0] - flat[a, 0]
+        )
+
+    def is_ear(i: int, lowest: float) -> bool:
+        a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
+        if turn(a, b, c) <= lowest:
+            return False
+        rest = np.array([each for each in left if not (flat[each] == flat[[a, b, c]]).all(axis=1).any()], int)
+        return not (
+            rest.size and ((turn(a, b, rest) >= 0) & (turn(b, c, rest) >= 0) & (turn(c, a, rest) >= 0)).any()
+        )
+
+    while len(left) > 2:
+        # Flat ears last: their corner lies on a neighbour's edge and must stay a corner.
+        found = next((i for low in (least, -least) for i in range(len(left)) if is_ear(i, low)), None)
+        if found is None:
+            break
+        ears.append((left[found - 1], left[found], left[(found + 1) % len(left)]))
+        del left[found]
+    if len(left) > 2 or abs(sum(turn(*ear) for ear in ears) - area) > 1e-6 * area:
+        spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+        if spread[2 if len(corners) > 2 else 0] > BENT * spread[0]:
+            return np.array([(0, i, i + 1) for i in range(1, len(corners) - 1)])
+        raise InputError(
+            f"it has a face of {len(corners)} corners that crosses itself; triangulate it in the "
+            "program that it comes from"
+        )
+    return np.array(ears)
