@@ -16,7 +16,7 @@ import yaml
 import paper_artifact
 from paper_artifact.files import REPOSITORY
 
-OPTIONAL = {"pycolmap"}  # no wheel for Linux on ARM; its tests are skipped where it is missing
+OPTIONAL = {"pycolmap", "dracopy"}  # no wheel for Linux on ARM; its tests are skipped where it is missing
 # Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes how it was
 # called.
 STUB = r"""#!/bin/bash
@@ -66,7 +66,7 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
         )
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    assert set(extras) == {"study", "dev", "cluster", "photos"}
+    assert set(extras) == {"study", "dev", "cluster", "photos", "meshes"}
     named = [*project["dependencies"], *(name for names in extras.values() for name in names)]
     assert len(named) == len(set(named)), "each package is named once"
     assert set(named) == set(pins()) - {"setuptools"}, "pyproject.toml names what environment.yml pins"
