@@ -1,12 +1,14 @@
-# Sourced by reproduce.sh and test.sh: makes .venv from environment.yml and leaves $python pointing into it.
+# Sourced by reproduce.sh and test.sh: makes .venv from requirements/*.lock and leaves $python pointing into it.
 #
-# environment.yml is the only place with versions; its python= line and its pip section are read here. The second run
-# compares a stamp and returns at once. pip's own settings (PIP_INDEX_URL, PIP_FIND_LINKS, pip.conf …) apply.
+# Versions are written in environment.yml; its python= line is read here. The locks have its pip section and all that this
+# needs, with hashes (.ci/lock.py makes them). The second run compares a stamp and returns at once. pip's own settings
+# (PIP_INDEX_URL, PIP_FIND_LINKS, pip.conf …) apply.
 # PAPER_ARTIFACT_VENV puts the environment elsewhere; PYTHON names the interpreter to build it from.
 
 repository="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
 venv="${PAPER_ARTIFACT_VENV:-$repository/.venv}"
 python="$venv/bin/python"
+locks="$repository/requirements"
 unset PYTHONHOME PYTHONPATH        # another environment's packages must not show through
 export PIP_USER=0 PIP_DISABLE_PIP_VERSION_CHECK=1
 
@@ -15,11 +17,21 @@ fail() { printf '[setup] error: %s\n' "$1" >&2; shift; for hint in "$@"; do prin
 
 wanted_python() { sed -n 's/^ *- *python *= *\([0-9.]*\) *$/\1/p' "$repository/environment.yml"; }
 
-# The pip section, one requirement per line, without "-e ." (installed apart, below).
-pip_section() {
-    awk '/^ *- *pip: *$/ { inside = 1; next }
-         inside && /^ *- / { sub(/^ *- */, ""); sub(/ *#.*$/, ""); if ($0 !~ /^-e /) print; next }
-         inside && !/^ *(#.*)?$/ { inside = 0 }' "$repository/environment.yml"
+# The pins of environment.yml that no lock has: somebody changed one without the other.
+unlocked() {
+    cat "$locks/packages.lock" "$locks/torch-cuda.lock" | awk 'FNR == NR { if ($1 ~ /==/) locked[$1] = 1; next }
+         /^ *- [A-Za-z0-9_.-]+==/ { sub(/;.*/, "", $2); if (!($2 in locked)) print $2 }' - "$repository/environment.yml"
+}
+
+# Installs exactly the files that a lock names. --no-deps: together the locks are complete, as `pip check` finds.
+install_locked() { "$1" -m pip install --no-deps --require-hashes -r "$2"; }
+
+# The CPU build of torch where the settings of pip lead to one, else what PyPI has; then everything else.
+install_all() {
+    { install_locked "$python" "$locks/torch-cpu.lock" || install_locked "$python" "$locks/torch-cuda.lock"; } &&
+        install_locked "$python" "$locks/packages.lock" &&
+        "$python" -m pip install --no-deps --no-build-isolation -e "$repository" &&
+        "$python" -m pip check
 }
 
 is_wanted() { "$1" -c "import sys; raise SystemExit('%d.%d' % sys.version_info[:2] != '$version')" >/dev/null 2>&1; }
@@ -49,7 +61,9 @@ uv_python() {
             "$any" -m venv "$tools/uv" >/dev/null 2>&1 || fail "$any cannot make a virtual environment" \
                 "Debian, Ubuntu: sudo apt install python3-venv   (or python$version and python$version-venv)" \
                 "or use conda: conda env create -f environment.yml && conda activate paper_artifact"
-            "$tools/uv/bin/python" -m pip install --quiet uv >&2 || fail "uv could not be installed from the package index" \
+            sed -n '/^uv==/,/[^\\]$/p' "$locks/packages.lock" > "$tools/uv.lock"
+            install_locked "$tools/uv/bin/python" "$tools/uv.lock" >&2 || fail \
+                "uv could not be installed from the package index" \
                 "check the network, or set PIP_INDEX_URL / PIP_FIND_LINKS to a mirror" \
                 "or install Python $version yourself and run this again"
         fi
@@ -81,22 +95,23 @@ bootstrap() {
     version="$(wanted_python)"
     [ -n "$version" ] || fail "environment.yml has no 'python=X.Y' line" "restore it: git checkout environment.yml"
     # What the environment depends on: the pins, the package's metadata, and where the checkout is (it is linked in).
-    now="$(cat "$repository/environment.yml" "$repository/pyproject.toml" | cksum) $repository"
+    now="$(cat "$repository/environment.yml" "$repository/pyproject.toml" "$locks"/*.lock | cksum) $repository"
     if [ -x "$python" ] && [ "$(cat "$stamp" 2>/dev/null)" = "$now" ] && is_wanted "$python"; then
         return
     fi
+    [ -z "$(unlocked)" ] || fail "requirements/ lacks what environment.yml names: $(unlocked | tr '\n' ' ')" \
+        "make it again: .venv/bin/python .ci/lock.py"
     if ! { [ -x "$python" ] && is_wanted "$python" && "$python" -m pip --version >/dev/null 2>&1; }; then
         make_venv
     fi
     rm -f "$stamp"
-    pip_section > "$venv/requirements.txt"
-    say "installing the packages of environment.yml (the first time takes minutes; log: $venv/install.log)"
-    if ! { "$python" -m pip install -r "$venv/requirements.txt" &&
-           "$python" -m pip install --no-deps --no-build-isolation -e "$repository"; } > "$venv/install.log" 2>&1; then
-        grep -E '^(ERROR|WARNING|error)' "$venv/install.log" | tail -n 5 >&2
+    say "installing the packages of requirements/ (the first time takes minutes; log: $venv/install.log)"
+    if ! install_all > "$venv/install.log" 2>&1; then
+        grep -E '^(ERROR|WARNING|error|THESE PACKAGES)| requires .* not installed' "$venv/install.log" | tail -n 5 >&2
         fail "the packages could not be installed; the full log is $venv/install.log" \
             "no network? set PIP_INDEX_URL or PIP_FIND_LINKS to a mirror (or in pip.conf)" \
-            "disk full? torch alone needs about 1 GB; running the same command again continues"
+            "disk full? torch alone needs about 1 GB; running the same command again continues" \
+            "an old environment in the way? remove it: rm -r $venv"
     fi
     printf '%s\n' "$now" > "$stamp.partial" && mv "$stamp.partial" "$stamp"
     say "ready"

@@ -162,7 +162,7 @@ def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path
 def test_without_pycolmap_it_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     assert main(["photos", str(noise(tmp_path / "n", 3)), "--out", str(tmp_path / "s")]) == 1
-    assert "pip install 'paper_artifact[photos]'" in capsys.readouterr().err
+    assert "pip install '.[photos]'" in capsys.readouterr().err
 
 
 def test_folders_that_hold_too_little(tmp_path, capsys):

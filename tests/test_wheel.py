@@ -157,4 +157,4 @@ def test_a_name_that_needs_a_checkout_is_told_so_and_nonsense_is_nonsense(instal
 def test_a_verb_of_an_extra_names_it(installed, arguments):
     result = installed.command(*arguments)
     assert result.returncode == 1 and "Traceback" not in result.stderr
-    assert "pip install 'paper_artifact[study]'" in result.stderr
+    assert "pip install '.[study]'" in result.stderr

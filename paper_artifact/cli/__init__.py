@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(
             f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not "
             "installed; in a checkout run `bash test.sh` and use .venv/bin/python, "
-            "else `pip install 'paper_artifact[study]'`",
+            "else `pip install '.[study]'`",
             file=sys.stderr,
         )
     except BrokenPipeError:  # the reader (head, less) has gone

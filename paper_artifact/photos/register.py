@@ -45,7 +45,7 @@ def need_pycolmap() -> Any:
     except ImportError as error:
         raise InputError(
             "registering photographs needs pycolmap, which is not installed here; "
-            "`pip install pycolmap` or `pip install 'paper_artifact[photos]'`"
+            "`pip install pycolmap` or `pip install '.[photos]'`"
         ) from error
     pycolmap.logging.minloglevel = 3  # its remarks are not for this command's user
     return pycolmap

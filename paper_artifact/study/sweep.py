@@ -85,7 +85,7 @@ def connect(scheduler: str):
         from dask.distributed import Client
     except ModuleNotFoundError as error:
         raise InputError(
-            "--executor dask needs the optional extra: pip install 'paper_artifact[cluster]'"
+            "--executor dask needs the optional extra: pip install '.[cluster]'"
         ) from error
     try:
         return Client(scheduler, timeout="10s")
