@@ -182,7 +182,12 @@ def find_file(folder: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path
     InputError as `inside` does.
     """
     plain = unquote(name).replace("\\", "/")
-    for each in (name, plain):
+    spellings = [name, plain]
+    if not name.isascii():  # a name in another encoding than the disk's
+        for encoding in ("cp1252", "gbk", "shift_jis"):
+            with suppress(UnicodeError):
+                spellings.append(os.fsencode(name).decode(encoding))
+    for each in spellings:
         for ending in endings:
             if not _leads_out(each) and (path := inside(folder, each + ending)).is_file():
                 return path
@@ -219,16 +224,14 @@ def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Pa
 
 
 def decoded(data: bytes) -> str:
-    """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one, else
-    Latin-1. Every line ends in a line feed.
+    """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one.
+
+    Every line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", errors="replace")
     else:
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("latin-1")
+        text = data.decode("utf-8-sig", errors="surrogateescape")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

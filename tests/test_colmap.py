@@ -164,10 +164,33 @@ def test_binary_with_more_bytes_or_absurd_counts_is_refused(tmp_path):
         read_model(tmp_path)
 
 
+def test_sound_models_of_others(tmp_path):
+    expected = read_model(write_text(tmp_path))
+    lines = [line for line in TEXT["images.txt"].split("\n") if line and not line.startswith("10.5")]
+    for name, content in {
+        "images.txt": "\n".join(lines),  # one line per image
+        "cameras.txt": TEXT["cameras.txt"].replace("640", "640.0").replace("2 SIMPLE", "2\tSIMPLE"),
+        "points3D.txt": TEXT["points3D.txt"].replace("\n", "\r\n"),
+    }.items():
+        (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + content.encode())
+        assert_equal(read_model(tmp_path), expected)
+    bent = "1 OPENCV 640 480 500.5 501.5 320 240 0 0 0 0\n2 SIMPLE_RADIAL 64 48 50 32 24 0\n"
+    assert_equal(read_model(write_text(tmp_path, cameras_txt=bent)), expected)
+    write_model(expected, tmp_path / "binary")
+    (tmp_path / "binary" / "images.bin").unlink()
+    (tmp_path / "binary" / "points3D.bin").unlink()
+    (tmp_path / "binary" / "images.txt").write_text(TEXT["images.txt"])
+    head = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {c}\n" for c in "xyz")
+    (tmp_path / "binary" / "points3D.ply").write_text(head + "end_header\n1.5 2.5 3.5\n")
+    mixed = read_model(tmp_path / "binary")
+    assert mixed.cameras == expected.cameras and mixed.images == expected.images
+    np.testing.assert_array_equal(mixed.positions, [[1.5, 2.5, 3.5]])
+
+
 def test_missing_files_are_named(tmp_path):
-    with pytest.raises(InputError, match="no COLMAP file at .*cameras.txt"):
+    with pytest.raises(InputError, match="no COLMAP file at .*cameras.bin or .txt"):
         read_model(tmp_path)
     write_text(tmp_path)
     (tmp_path / "points3D.txt").unlink()
-    with pytest.raises(InputError, match="points3D.txt"):
+    with pytest.raises(InputError, match="points3D.bin or .txt"):
         read_model(tmp_path)

@@ -7,15 +7,17 @@ colour and reprojection error); 2-D observations and tracks are read past, and w
 from __future__ import annotations
 
 import math
+import os
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import inside, write_bytes, write_text
+from paper_artifact.files import decoded, inside, whole, write_bytes
+from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.scene.cameras import Camera
 
 MODELS = (
@@ -33,7 +35,10 @@ MODELS = (
     "RAD_TAN_THIN_PRISM_FISHEYE",
 )
 MOST_MODELS = 64  # a number beyond is damage, one in between a model newer than this list
-PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has; the other models are not read
+PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has
+# Models that are pinholes where their distortion is zero: how many parameters, and how many focal lengths.
+BENT = {"SIMPLE_RADIAL": (4, 1), "RADIAL": (5, 1), "OPENCV": (8, 2), "FULL_OPENCV": (12, 2), "FOV": (5, 2)}
+PINHOLES = {1: "SIMPLE_PINHOLE", 2: "PINHOLE"}  # by how many focal lengths they have
 FILES = ("cameras", "images", "points3D")
 FARTHEST = 1e25  # world units: matrices of what is larger are not finite in float32
 SHORTEST = 1e-6  # a quaternion's length; one that turns has length 1
@@ -89,30 +94,24 @@ class Model:
 
 
 def read_model(folder: Path | str) -> Model:
-    """Return the model that `cameras`, `images`, `points3D` (.bin, or else .txt) of a sparse folder hold.
+    """Return the model that the `model_files` of a sparse folder hold.
 
     Raises InputError, naming the file, for missing or damaged files, camera models with distortion, and
     images that refer to a camera that is not there.
     """
-    folder = Path(folder)
-    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    paths = [inside(folder, name + suffix) for name in FILES]
-    for path in paths:
-        if not path.is_file():
-            raise InputError(
-                f"no COLMAP file at {path}; "
-                "give the folder that holds sparse/0 with cameras, images and points3D"
-            )
-    readers = _BINARY_READERS if suffix == ".bin" else _TEXT_READERS
+    paths = model_files(folder)
     parts = []
-    for path, reader in zip(paths, readers, strict=True):
+    for number, path in enumerate(paths):
+        reader = {".bin": _BINARY_READERS, ".txt": _TEXT_READERS}.get(path.suffix, (_read_points_ply,) * 3)[
+            number
+        ]
         try:
             parts.append(reader(path.read_bytes()))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
-        except (ValueError, IndexError, OverflowError, struct.error) as error:
+        except (ValueError, LookupError, OverflowError, struct.error) as error:
             raise InputError(
                 f"{path} is damaged or no COLMAP file ({error}); export the model again"
             ) from error
@@ -126,6 +125,24 @@ def read_model(folder: Path | str) -> Model:
     return Model(cameras, images, *points)
 
 
+def model_files(folder: Path | str) -> list[Path]:
+    """Return the files that hold cameras, images and points3D in a sparse folder, each .bin or else .txt, the
+    points also .ply. Raises InputError where one is missing."""
+    paths = []
+    for name in FILES:
+        endings = (".bin", ".txt", ".ply") if name == "points3D" else (".bin", ".txt")
+        found = [
+            path for path in (inside(Path(folder), name + ending) for ending in endings) if path.is_file()
+        ]
+        if not found:
+            raise InputError(
+                f"no COLMAP file at {Path(folder) / name}.bin or .txt; "
+                "give the folder that holds sparse/0 with cameras, images and points3D"
+            )
+        paths.append(found[0])
+    return paths
+
+
 def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
     """Write the model's three files into `folder`, binary or text, each atomically; floats are exact.
 
@@ -135,7 +152,7 @@ def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
     for name, writer in zip(FILES, writers, strict=True):
         content = writer(model)
         path = Path(folder) / (name + (".bin" if binary else ".txt"))
-        write_bytes(path, content) if binary else write_text(path, content)
+        write_bytes(path, content if binary else os.fsencode(content))
 
 
 class _Bytes:
@@ -156,7 +173,7 @@ class _Bytes:
 
     def name(self) -> str:
         end = self.data.index(b"\0", self.offset)
-        name = self.data[self.offset : end].decode("utf-8")
+        name = os.fsdecode(self.data[self.offset : end])  # other encodings keep their bytes, as on the disk
         self.offset = end + 1
         return name
 
@@ -166,6 +183,8 @@ class _Bytes:
 
 
 def _checked_camera(model: str, width: int, height: int, parameters: tuple[float, ...]) -> Intrinsics:
+    if model in BENT and not any(parameters[BENT[model][1] + 2 :]):
+        model, parameters = PINHOLES[BENT[model][1]], parameters[: BENT[model][1] + 2]
     if len(parameters) != PARAMETERS[model]:
         raise ValueError(f"{model} with {len(parameters)} parameters")
     sizes = np.abs([width, height, *parameters])
@@ -174,11 +193,13 @@ def _checked_camera(model: str, width: int, height: int, parameters: tuple[float
     return Intrinsics(model, int(width), int(height), tuple(float(value) for value in parameters))
 
 
-def _pinhole_only(model: str, camera: int) -> None:
-    if model not in PARAMETERS:  # the others bend rays, those that are newer than this list too
+def _pinhole_only(model: str, camera: int, parameters: Sequence[float]) -> None:
+    """Raise InputError for a camera that bends rays: any other model, those newer than this list too."""
+    count, focal = BENT.get(model, (-1, 0))
+    if model not in PARAMETERS and (len(parameters) != count or any(parameters[focal + 2 :])):
         raise InputError(
             f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), "
-            f"only {' and '.join(reversed(PARAMETERS))} are read"
+            f"only {' and '.join(reversed(PARAMETERS))}, and zero distortion, are read"
         )
 
 
@@ -208,10 +229,11 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
         camera, number, width, height = stream.take("iiQQ")
         if not 0 <= number < MOST_MODELS:
             raise ValueError(f"unknown camera model {number}")
-        _pinhole_only(MODELS[number] if number < len(MODELS) else f"number {number}", camera)
-        cameras[camera] = _checked_camera(
-            MODELS[number], width, height, stream.take("d" * PARAMETERS[MODELS[number]])
-        )
+        model = MODELS[number] if number < len(MODELS) else f"number {number}"
+        count = PARAMETERS.get(model, BENT.get(model, (0, 0))[0])
+        parameters = stream.take("d" * count)
+        _pinhole_only(model, camera, parameters)
+        cameras[camera] = _checked_camera(model, width, height, parameters)
     stream.end()
     return cameras
 
@@ -240,12 +262,17 @@ def _read_points_binary(data: bytes) -> tuple[np.ndarray, ...]:
     return _points(ids, positions, colours, errors)
 
 
+def _read_points_ply(data: bytes) -> tuple[np.ndarray, ...]:
+    vertex = read_ply_elements(data).get("vertex", {})
+    positions = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    grey = np.full(len(positions), 128)
+    colours = np.stack([vertex.get(name, grey) for name in ("red", "green", "blue")], axis=1)
+    ids, errors = list(range(1, len(positions) + 1)), [0.0] * len(positions)
+    return _points(ids, positions.tolist(), colours.tolist(), errors)
+
+
 def _rows(data: bytes) -> list[str]:
-    return [
-        line
-        for line in data.decode("utf-8").splitlines()
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    return [line for line in decoded(data).split("\n") if line.strip() and not line.lstrip().startswith("#")]
 
 
 def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
@@ -254,21 +281,32 @@ def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
         camera, model, width, height, *parameters = row.split()
         if not model.replace("_", "").isupper():
             raise ValueError(f"unknown camera model {model}")
-        _pinhole_only(model, int(camera))
-        cameras[int(camera)] = _checked_camera(model, int(width), int(height), tuple(map(float, parameters)))
+        numbers = tuple(map(float, parameters))
+        _pinhole_only(model, whole(camera), numbers)
+        cameras[whole(camera)] = _checked_camera(model, whole(width), whole(height), numbers)
     return cameras
 
 
 def _read_images_text(data: bytes) -> dict[int, Pose]:
-    images = {}
-    lines = iter(data.decode("utf-8").splitlines())
-    for line in lines:
-        if not line.strip() or line.lstrip().startswith("#"):
+    images, after_pose = {}, False
+    for line in _rows(data):
+        if after_pose and _is_observations(line):
+            after_pose = False  # one such line may follow an image; files made by hand have none
             continue
         image, *rest = line.split(maxsplit=9)
-        images[int(image)] = _checked_pose(rest[8].rstrip(), int(rest[7]), tuple(map(float, rest[:7])))
-        next(lines, None)  # the image's 2-D observations, an empty line when it has none
+        images[whole(image)] = _checked_pose(rest[8].rstrip(), whole(rest[7]), tuple(map(float, rest[:7])))
+        after_pose = True
     return images
+
+
+def _is_observations(line: str) -> bool:
+    """Whether a line of images.txt lists x, y and point id again and again, not an image with its name."""
+    words = line.split()
+    try:
+        _ = [float(word) for word in (words[0], words[9 % len(words)], words[-1])]
+    except ValueError:
+        return False
+    return len(words) % 3 == 0
 
 
 def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
@@ -276,9 +314,9 @@ def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
     if any(len(row) < 8 for row in rows):
         raise ValueError("a point with fewer than 8 values")
     return _points(
-        [int(row[0]) for row in rows],
+        [whole(row[0]) for row in rows],
         [list(map(float, row[1:4])) for row in rows],
-        [list(map(int, row[4:7])) for row in rows],
+        [list(map(whole, row[4:7])) for row in rows],
         [float(row[7]) for row in rows],
     )
 
@@ -295,7 +333,7 @@ def _write_cameras_binary(model: Model) -> bytes:
 def _write_images_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.images)) + b"".join(
         struct.pack("<I7dI", image, *p.quaternion, *p.translation, p.camera)
-        + p.name.encode("utf-8")
+        + os.fsencode(p.name)
         + b"\0"
         + struct.pack("<Q", 0)
         for image, p in model.images.items()

@@ -10,7 +10,7 @@ import numpy as np
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside, load_json
-from paper_artifact.scene.colmap import FARTHEST, FILES, read_model
+from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
 
 DESCRIPTION = "scene.json"
@@ -105,8 +105,8 @@ def scene_digest(root: Path) -> str:
     """
     folder = model_folder(root)
     names = sorted(pose.name for pose in read_model(folder).images.values())
-    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    held = {f"model/{name}": sha256_of((folder / (name + suffix)).read_bytes()) for name in FILES}
+    files = zip(FILES, model_files(folder), strict=True)
+    held = {f"model/{name}": sha256_of(file.read_bytes()) for name, file in files}
     for name in names:
         held[f"images/{name}"] = sha256_of(read_file(inside(root, f"images/{name}")))
         if (mask := mask_of(root, name)) is not None:
