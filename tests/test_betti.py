@@ -14,8 +14,9 @@ from paper_artifact.randomness import stream
 from paper_artifact.report.plans import refresh_table
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.topology import BettiLoss
+from paper_artifact.topology import BettiLoss, cleaned
 from paper_artifact.topology.bundle import build_bundle
+from paper_artifact.topology.clean import projected, trimmed
 from paper_artifact.topology.density import choose_density
 from paper_artifact.topology.floor import measurement_floor
 from paper_artifact.topology.pulls import DIAGONAL, NONE
@@ -291,3 +292,17 @@ def test_the_frame_is_the_clouds_and_ignores_outliers():
     for points, words in ((cloud[:1].repeat(9, axis=0), "one place"), (cloud[:2], "at least 4")):
         with pytest.raises(InputError, match=words):
             frame_diagonal(points)
+
+
+def test_a_dirty_sphere_is_cleaned():
+    draws = np.random.default_rng(0)
+    points = draws.standard_normal((3000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    noisy = points * (1 + 0.02 * draws.standard_normal((3000, 1)))
+    far = np.concatenate([noisy, draws.uniform(-3, 3, (100, 3))])
+    found = cleaned(far)
+    before, after = (np.abs(np.linalg.norm(each, axis=1) - 1) for each in (noisy, found))
+    assert 2950 <= len(found) <= 3020 and after.mean() < 0.7 * before.mean() and after.max() < 0.3
+    assert len(trimmed(points)) == 3000 and np.allclose(projected(points), points, atol=0.02)
+    with pytest.raises(InputError, match="cleaning needs at least 4 finite points"):
+        cleaned(np.full((9, 3), np.nan))

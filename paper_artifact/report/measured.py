@@ -52,14 +52,6 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_photographs",
         "the mug of data_scripts/mug from its photographs, C0 and T1, against its true surface (pycolmap)",
     ),
-    "dirty": (
-        "measure_dirty",
-        "bars that noise, outliers and gaps bear in SfM clouds, and what cleaning does to them",
-    ),
-    "words_cost": (
-        "measure_words_cost",
-        "CPU time of a refresh and a step of C1, T1 and T2 on committed soups, M = 2048 and 8192",
-    ),
     "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",

@@ -5,7 +5,7 @@
 Without a ground truth: points far from their neighbours are left out, each other point is projected onto the
 plane of its neighbours, and who is lonely now goes too. Gaps stay: only images can close them. Averaging over
 neighbours instead draws the points together along the surface too: its floor falls, and noise-born bars reach
-.7 of it (`paper_artifact.report.dirty`).
+.7 of it (`data_scripts/measure/dirty.py`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,88 @@
+"""What the measurements of this folder share: the clock, the machine, the CSV.
+
+A measurement is a script, `python data_scripts/measure/NAME.py`, that writes results/measured/NAME.csv; a
+notebook reads it with `results.measured(NAME)`. Times are CPU seconds of the process on one thread, medians
+of turns in which the compared calls alternate, so that the load of the machine touches all alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start their threads
+
+import pandas as pd
+
+from paper_artifact.files import write_text
+from paper_artifact.record.environment import host
+from paper_artifact.results import MEASURED
+
+
+class Clock:
+    """CPU and wall seconds between entering and leaving the block `with Clock() as taken`."""
+
+    cpu = wall = 0.0
+
+    def __enter__(self) -> Clock:
+        self._begin = time.process_time(), time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cpu = time.process_time() - self._begin[0]
+        self.wall = time.perf_counter() - self._begin[1]
+
+
+def in_turn(calls: Mapping[str, Callable[[], Any]], turns: int) -> dict[str, list[Clock]]:
+    """Return each call's clocks over `turns` turns in which the calls alternate, after one uncounted turn
+    (compilation, caches)."""
+    taken: dict[str, list[Clock]] = {name: [] for name in calls}
+    for _ in range(turns + 1):
+        for name, call in calls.items():
+            gc.collect()  # so that no call is charged for another's garbage
+            with Clock() as clock:
+                call()
+            taken[name].append(clock)
+    return {name: clocks[1:] for name, clocks in taken.items()}
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch use one thread within the block."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def cpu_name() -> str:
+    """Return the name of this machine's CPU, as the records write it."""
+    return host()["cpu"]
+
+
+def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
+    """Return the command line of a script with the docstring `text`: --out, the folder of the CSV, and the
+    `extra` options, {name: keywords of `add_argument`}."""
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=MEASURED, help="folder of the CSV (%(default)s)")
+    for name, keywords in extra.items():
+        parser.add_argument(f"--{name}", **keywords)
+    return parser.parse_args()
+
+
+def write(table: pd.DataFrame, path: Path) -> None:
+    """Write a table with 6 significant digits, whole or not at all."""
+    write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
+    print(f"written: {path}, {len(table)} rows")
