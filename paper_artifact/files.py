@@ -5,19 +5,23 @@ both are of the current folder then, and what only a checkout holds (data_script
 results/published/, notebooks/) is not there.
 
 A reader of a path written here sees either the old content or the new one, never a part: the data go to a
-temporary file in the same folder, are flushed to disk, and take the final name in one rename.
+temporary folder beside it, are flushed to disk, and take the final name in one rename. The process that
+writes holds a lock on that folder. What a killed process left is not locked; the next write beside it removes
+it. A folder is cleared only of files that its manifest lists (`renewed_folder`).
 """
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import io
 import json
 import os
+import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -29,6 +33,9 @@ DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})  # EFBIG: the p
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+PARTIAL = ".partial-"  # what temporary folders are called
+LOCK = "lock"  # the file in one that its owner has locked
+MANIFEST = ".paper_artifact.json"  # in a folder: {command or part of it: names of the files that it wrote}
 FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
@@ -52,40 +59,155 @@ def write_failure(path: Path | str, error: OSError) -> InputError:
 
 
 @contextmanager
+def partial_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new temporary folder in `parent`, locked by this process, and remove it afterwards; what killed
+    processes left in `parent` is removed before. Raises OSError when `parent` cannot be made or written.
+
+    The folder holds its lock; one file or folder with its final name is to be made in it and moved out.
+    """
+    parent.mkdir(parents=True, exist_ok=True)
+    clear_partials(parent)
+    folder, lock = _locked_folder(parent)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def clear_partials(parent: Path) -> None:
+    """Remove the temporary folders in `parent` whose owners are gone: their locks can be taken.
+
+    Where the file system has no locks, and in folders without one, nothing is removed.
+    """
+    for left in parent.glob(f"{PARTIAL}*"):
+        with suppress(OSError):  # live, removed by another process meanwhile, or of somebody else
+            try:
+                lock = os.open(left / LOCK, os.O_RDWR)
+            except FileNotFoundError:
+                left.rmdir()  # killed before it was locked; not empty: no temporary folder
+                continue
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(left, ignore_errors=True)
+            finally:
+                os.close(lock)
+
+
+def _locked_folder(parent: Path) -> tuple[Path, int]:
+    """Return a new temporary folder and the descriptor that holds its lock."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=parent))
+        try:
+            lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
+        except FileNotFoundError:  # another process took it for one that was left
+            continue
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if os.fstat(lock).st_nlink:
+            return folder, lock
+        os.close(lock)  # as above
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise write_failure(path, error) from error
+
+
+@contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; on a clean exit it takes the name `path`, else it is removed.
+    """Yield a temporary path with the same name; on a clean exit the file there takes the place of `path`.
 
     Raises InputError when the folder cannot be made or written, or when the disk is full or fails, be it at
     the first byte or the last; what was at `path` before is still there then.
     """
     path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=".partial" + path.suffix, dir=path.parent
-        )
-    except OSError as error:
-        raise write_failure(path, error) from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+    with ExitStack() as stack:
+        with _writing(path):
+            temporary = stack.enter_context(partial_folder(path.parent)) / path.name
         try:
             yield temporary
         except OSError as error:
-            # Only the disk's own errors: the caller may be reading from a network or another file as well.
-            if error.errno in DISK_FULL | DISK_BROKEN:
+            # Only of the disk, or of the name: the caller may be reading from a network or another file too.
+            if error.errno in DISK_FULL | DISK_BROKEN or error.filename in (temporary, str(temporary)):
                 raise write_failure(path, error) from error
             raise
-        try:
+        with _writing(path):
             with open(temporary, "rb") as written:
                 os.fsync(written.fileno())
-            temporary.chmod(0o644)
             os.replace(temporary, path)
-        except OSError as error:
-            raise write_failure(path, error) from error
-    finally:
-        with suppress(OSError):  # on a disk that fails, the error above is the one to tell
-            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def renewed_folder(folder: Path, part: str, names: Collection[str] = ()) -> Iterator[Path]:
+    """Yield an empty temporary folder; on a clean exit its files move into `folder`, and what an earlier call
+    for the same part moved there and this one did not is removed. All other files in `folder` stay.
+
+    The folder's MANIFEST lists what was moved, by part. names: all files that will be made, where they are
+    known before. Raises InputError when one of them exists and is not listed; without names, when the folder
+    holds any file that is not listed, unless it was written for this part before. Also as `atomic_path` does.
+    """
+    folder = Path(folder)
+    with ExitStack() as stack:
+        with _writing(folder):
+            before = _listed(folder).get(part)
+            if names:
+                new_names = (folder / name for name in names if name not in (before or ()))
+                foreign = next((path for path in new_names if path.exists()), None)
+            else:
+                foreign = _unlisted(folder) if before is None else None
+            if foreign is not None:
+                raise InputError(
+                    f"{foreign} is there and was not written by this command; choose a new or an empty folder"
+                )
+            (new := stack.enter_context(partial_folder(folder)) / "new").mkdir()
+        yield new
+        with _writing(folder):
+            _move_in(new, folder, part)
+
+
+def _move_in(new: Path, folder: Path, part: str) -> None:
+    made = sorted(path.relative_to(new).as_posix() for path in new.rglob("*") if path.is_file())
+    parts = _listed(folder)
+    gone = {*parts.pop(part, ())} - {*made}.union(*parts.values())
+    write_json(folder / MANIFEST, parts | {part: sorted({*made, *gone})})  # a kill from here on loses no name
+    for name in made:
+        target = inside(folder, name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(new / name, target)
+    for name in gone:
+        inside(folder, name).unlink(missing_ok=True)
+    write_json(folder / MANIFEST, parts | {part: made})
+
+
+def _listed(folder: Path) -> dict[str, list[str]]:
+    """Return the folder's manifest, empty where there is none or it is damaged."""
+    try:
+        parts = load_json(folder / MANIFEST)
+        sound = all(isinstance(name, str) for names in parts.values() for name in names)
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+    return parts if sound else {}
+
+
+def _unlisted(folder: Path) -> Path | None:
+    """Return a file below `folder` that no manifest lists, in the folder, above or below; None for none."""
+
+    def listed(place: Path) -> set[Path]:
+        return {place / MANIFEST} | {place / name for names in _listed(place).values() for name in names}
+
+    known = {path for place in folder.resolve().parents for path in listed(place)}
+    for here, folders, files in os.walk(folder.resolve()):
+        place = Path(here)
+        known |= listed(place)
+        folders[:] = [name for name in folders if not name.startswith(PARTIAL)]
+        for name in files:
+            if place / name not in known:
+                return place / name
+    return None
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:

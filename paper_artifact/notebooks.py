@@ -21,7 +21,7 @@ import nbformat
 from nbformat import NotebookNode
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, write_text
+from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, renewed_folder, write_text
 
 NOTEBOOKS = REPOSITORY / "notebooks"
 EXECUTED = RESULTS / "executed"
@@ -88,15 +88,14 @@ def own_kernel() -> Iterator[str]:
 
 @contextmanager
 def figures_of(path: Path, folder: Path) -> Iterator[None]:
-    """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg, in place of those
-    that are there (see `report.kit.figures.show`)."""
-    for old in folder.glob(f"{path.stem}_*.svg"):
-        old.unlink()
-    os.environ[FIGURES_VARIABLE] = str(folder.absolute() / path.stem)
-    try:
-        yield
-    finally:
-        del os.environ[FIGURES_VARIABLE]
+    """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
+    in place of those that an earlier execution of it wrote there. Raises InputError as `renewed_folder`."""
+    with renewed_folder(folder, path.stem) as new:
+        os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
+        try:
+            yield
+        finally:
+            del os.environ[FIGURES_VARIABLE]
 
 
 def execute(

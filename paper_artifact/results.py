@@ -143,17 +143,15 @@ def _cached(folder: Path) -> Results:
     states = [(path.name, state.st_size, state.st_mtime_ns) for path in paths for state in (path.stat(),)]
     sources = [Path(__file__), MEASURED / "starts.csv"]
     code = [source.read_bytes() for source in sources if source.is_file()]
-    key = hashlib.sha256(repr((states, code, str(STUDIES), pd.__version__)).encode()).hexdigest()[:16]
-    kept = Path(folder).parent / ".frames" / f"{key}.pickle"
+    key = hashlib.sha256(repr((states, code, str(STUDIES), pd.__version__)).encode()).digest()
+    kept = Path(folder).parent / ".frames" / f"{Path(folder).name}.pickle"
     if kept.is_file() and kept.stat().st_uid == os.getuid():
-        with suppress(Exception):  # cut off or of another pandas: made again
-            return Results(*pickle.loads(kept.read_bytes()), Path(folder))
+        with suppress(Exception), open(kept, "rb") as file:  # cut off or of another pandas: made again
+            if file.read(len(key)) == key:
+                return Results(*pickle.load(file), Path(folder))
     frames = _read(paths)
-    with suppress(InputError, OSError):  # a folder that cannot be written: nothing is kept
-        for old in kept.parent.glob("*.pickle"):
-            old.unlink()
-        with atomic_path(kept) as partial:
-            partial.write_bytes(pickle.dumps(frames, protocol=5))
+    with suppress(InputError, OSError), atomic_path(kept) as partial:  # where it cannot be written, it is not
+        partial.write_bytes(key + pickle.dumps(frames, protocol=5))
     return Results(*frames, Path(folder))
 
 

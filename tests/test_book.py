@@ -194,10 +194,10 @@ def test_svg_pictures_of_run_all_come_before_those_in_the_notebooks(tmp_path):
     chapter = read_chapter(
         notebook(tmp_path / "n" / "01_one.ipynb", 'x = 1\nplot.show("key", figure)'), NOWHERE
     )
-    assert write_figures(chapter, tmp_path / "f") == {(1, 0): "01_one_key.png"}
+    assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.png"}
     assert (tmp_path / "f" / "01_one_key.png").read_bytes() == b"hallo"
-    (tmp_path / "f" / "01_one_key.svg").write_text("<svg/>")
-    assert write_figures(chapter, tmp_path / "f") == {(1, 0): "01_one_key.svg"}
+    (tmp_path / "01_one_key.svg").write_text("<svg/>")
+    assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.svg"}
 
 
 def test_no_script_of_a_notebook_reaches_its_page(tmp_path):

@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import shutil
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -228,17 +227,6 @@ def test_one_flipped_bit_of_a_built_scene_is_refused(torus_scene, tmp_path, name
     file.write_bytes(data)
     with pytest.raises(InputError, match=f"{name} is not as it was built"):
         load_scene(tmp_path / "flipped")
-
-
-def test_what_killed_builds_left_is_cleared_when_it_is_old(tmp_path):
-    made, foreign = tmp_path / "scene", tmp_path / ".other-abc.partial"
-    old, young = (tmp_path / f".scene-{name}.partial" for name in ("old", "young"))
-    for folder in (old, young, foreign):
-        (folder / "images").mkdir(parents=True)
-    for path in (old / "images", old):
-        os.utime(path, (time.time() - 7200,) * 2)
-    build_scene(make_shape("cube"), replace(SMALL, views=2), made)
-    assert not old.exists() and young.exists() and foreign.exists() and (made / "scene.json").is_file()
 
 
 def arguments(*words: str) -> argparse.Namespace:

@@ -25,7 +25,7 @@ from paper_artifact.book.main_result import main_frame, main_runs, picture_svg
 from paper_artifact.book.views import write_views
 from paper_artifact.claims import FOLDER, MISSING, read_claims
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS, write_bytes, write_text
+from paper_artifact.files import RESULTS, renewed_folder, write_bytes, write_text
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
 from paper_artifact.results import PUBLISHED
 from paper_artifact.verdict import PARITY
@@ -94,12 +94,20 @@ def build(
     runs: Path = RESULTS / "runs",
     progress: Callable[[str], None] = lambda part: None,
 ) -> list[Item]:
-    """Write the book into `folder` and return the paper's items with their verdicts.
+    """Write the book into `folder` and return the paper's items with their verdicts. Files of an earlier book
+    there are replaced or removed, by its manifest; other files stay.
 
     notebooks, executed: the executed copies are taken where they have today's code. runs: the folder of the
     records. progress: called with the name of each part before it is made. SVG pictures that `run-all` left
-    in the folder figures are taken. Raises InputError when something committed cannot be read or the folder
-    cannot be written. """
+    in the folder figures are taken. Raises InputError when something committed cannot be read, when the
+    folder holds files and was no book before, or when it cannot be written. """
+    with renewed_folder(folder, "book") as new:
+        return _build(new, folder / "figures", notebooks, executed, runs, progress)
+
+
+def _build(
+    folder: Path, drawn: Path, notebooks: Path, executed: Path, runs: Path, progress: Callable[[str], None]
+) -> list[Item]:
     tables = results.load(folder=runs)
     progress("claims")
     claims = read_claims(FOLDER if runs == RESULTS / "runs" else runs.parent / "claims")
@@ -117,7 +125,7 @@ def build(
     pages = Pages(folder)
     figures = []
     for chapter in chapters:
-        pictures = write_figures(chapter, folder / "figures")
+        pictures = write_figures(chapter, folder / "figures", drawn)
         figures.append((chapter, list(dict.fromkeys(pictures.values()))))
         content = pages.notebook_body(chapter, pictures)
         file = f"notebooks/{chapter.name}.html"
@@ -225,9 +233,10 @@ def _failed(notebook: NotebookNode) -> bool:
     return any(each.output_type == "error" for each in outputs) or None in counts
 
 
-def write_figures(chapter: Chapter, folder: Path) -> dict[tuple[int, int], str]:
+def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tuple[int, int], str]:
     """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless `run-all` left an SVG of that
-    name there; return {(cell, output): file name}. Without a key for each picture, cell and place name it."""
+    name in `drawn_before`; return {(cell, output): file name}. Without a key for each picture, cell and place
+    name it."""
     names: dict[tuple[int, int], str] = {}
     for number, cell in enumerate(chapter.notebook.cells):
         drawn = [n for n, each in enumerate(cell.get("outputs", [])) if "image/png" in each.get("data", {})]
@@ -235,11 +244,11 @@ def write_figures(chapter: Chapter, folder: Path) -> dict[tuple[int, int], str]:
         if len(keys) != len(drawn):
             keys = [f"cell{number}_{place}" for place in range(len(drawn))]
         for key, place in zip(keys, drawn, strict=True):
-            vector = folder / f"{chapter.name}_{key}.svg"
-            if not vector.is_file():
-                data = cell.outputs[place]["data"]["image/png"]
-                write_bytes(vector.with_suffix(".png"), base64.b64decode(data))
-            names[number, place] = vector.name if vector.is_file() else vector.with_suffix(".png").name
+            name = f"{chapter.name}_{key}.svg"
+            if not (drawn_before / name).is_file():
+                name = f"{chapter.name}_{key}.png"
+                write_bytes(folder / name, base64.b64decode(cell.outputs[place]["data"]["image/png"]))
+            names[number, place] = name
     return names
 
 

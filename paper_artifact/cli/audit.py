@@ -7,7 +7,9 @@ import re
 from pathlib import Path
 
 from paper_artifact.audit.rule import DENSITIES, WORKING
-from paper_artifact.files import RESULTS, write_json, write_text
+from paper_artifact.files import RESULTS, renewed_folder, write_json, write_text
+
+FILES = ("audit.json", "bundle.json", "audit.html")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     mesh = find_mesh(arguments.mesh, welded=False)
     folder = arguments.out or RESULTS / "audits" / (re.sub(r"[^\w.-]+", "_", mesh.name) or "mesh")
-    with tqdm(disable=arguments.quiet or None, bar_format="{desc} ({elapsed})", leave=False) as bar:
+    with (
+        renewed_folder(folder, "audit", FILES) as new,
+        tqdm(disable=arguments.quiet or None, bar_format="{desc} ({elapsed})", leave=False) as bar,
+    ):
         audit = audit_mesh(
             mesh,
             arguments.mesh,
@@ -73,12 +78,10 @@ def run(arguments: argparse.Namespace) -> int:
             progress=bar.set_description_str,
         )
         page = audit_page(audit)
-    write_json(folder / "audit.json", audit.to_json())
-    if audit.bundle is not None:
-        audit.bundle.save(folder / "bundle.json")
-    else:
-        (folder / "bundle.json").unlink(missing_ok=True)  # of an earlier audit
-    write_text(folder / "audit.html", page)
+        write_json(new / "audit.json", audit.to_json())
+        if audit.bundle is not None:
+            audit.bundle.save(new / "bundle.json")
+        write_text(new / "audit.html", page)
     certificate = audit.certificate
     print(
         f"{audit.name}: certificate {verdict_text(certificate)}"

@@ -202,7 +202,7 @@ def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
     Damaged records raise InputError, whatever the filters.
     """
     found = []
-    for path in sorted(Path(folder).glob("*.json")):
+    for path in sorted(Path(folder).glob("[!.]*.json")):
         record = read_record(path)
         if all(_accepts(wanted, record["config"].get(name)) for name, wanted in filters.items()):
             found.append(record)

@@ -3,20 +3,14 @@ scene.json."""
 
 from __future__ import annotations
 
-import glob
 import os
-import shutil
-import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, write_failure
+from paper_artifact.files import clear_partials, load_json, partial_folder, write_failure
 from paper_artifact.scene.folder import DESCRIPTION
-
-STALE = 3600.0  # seconds
 
 
 def holds(folder: Path, key: str) -> bool:
@@ -24,6 +18,7 @@ def holds(folder: Path, key: str) -> bool:
 
     Raises InputError when it holds anything else, which is never overwritten.
     """
+    clear_partials(folder)
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     try:
@@ -40,37 +35,22 @@ def holds(folder: Path, key: str) -> bool:
     return True
 
 
-def clear_stale(folder: Path) -> None:
-    """Remove what killed builds of the same scene have left: temporary folders that nothing was written to
-    for STALE seconds. Others may be in the making by another process."""
-    for left in folder.parent.glob(f".{glob.escape(folder.name)}-*.partial"):
-        written = max(each.stat().st_mtime for each in (left, *left.glob("*")))
-        if time.time() - written > STALE:
-            shutil.rmtree(left, ignore_errors=True)
-
-
 @contextmanager
 def whole_folder(folder: Path, key: str) -> Iterator[Path]:
-    """Yield a temporary folder beside `folder`, which takes its name on a clean exit and is removed
-    otherwise.
+    """Yield a temporary folder of the same name, which takes the place of `folder` on a clean exit and is
+    removed otherwise.
 
     Where another process made the scene of the same key meanwhile, that one stays. Raises InputError when it
     cannot be written, or when anything else appeared at `folder`.
     """
-    temporary = None
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        clear_stale(folder)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
-        yield temporary
-        temporary.chmod(0o755)
-        try:
-            os.rename(temporary, folder)
-        except OSError:
-            if not holds(folder, key):
-                raise
+        with partial_folder(folder.parent) as held:
+            (temporary := held / folder.name).mkdir()
+            yield temporary
+            try:
+                os.rename(temporary, folder)
+            except OSError:
+                if not holds(folder, key):
+                    raise
     except OSError as error:
         raise write_failure(f"the scene to {folder}", error) from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,215 @@
+"""Files: nothing of the user's is removed, killed work is cleared, live work is not, the umask holds.
+
+`python -m tests.test_files 240` builds scenes, each in four processes at once, and counts failures.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from paper_artifact import cli
+from paper_artifact.errors import InputError
+from paper_artifact.files import MANIFEST, PARTIAL, REPOSITORY, atomic_path, renewed_folder, write_text
+from paper_artifact.notebooks import figures_of
+from paper_artifact.record.store import find_records
+from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.shapes import make_shape
+from paper_artifact.scene.whole import whole_folder
+
+TINY = SceneConfig(views=2, size=8, supersample=1, points=4)
+WAYS = {
+    "file": atomic_path,
+    "folder": lambda path: renewed_folder(path, "x"),
+    "scene": lambda path: whole_folder(path, "k"),
+}
+WRITER = """
+import sys, time
+from pathlib import Path
+from tests.test_files import write
+write(sys.argv[1], Path(sys.argv[2]), lambda: (print("writing", flush=True), time.sleep(60)))
+"""
+
+
+def write(way: str, path: Path, halfway=lambda: None) -> None:
+    with WAYS[way](path) as new:
+        new = new if way == "file" else new / "deep" / "file"
+        new.parent.mkdir(exist_ok=True)
+        new.write_text("half")
+        halfway()
+
+
+@contextmanager
+def writing(way: str, path: Path):
+    """A process that has written half of `path` and goes on within the block; then it is killed."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, way, str(path)], stdout=subprocess.PIPE, cwd=REPOSITORY, text=True
+    )
+    try:
+        assert process.stdout.readline() == "writing\n"
+        yield process
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+
+
+def partials(folder: Path) -> list[Path]:
+    return list(folder.rglob(f"{PARTIAL}*"))
+
+
+def files_in(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {MANIFEST}
+
+
+def renew(folder: Path, *names: str, part: str = "book", known: bool = False) -> None:
+    with renewed_folder(folder, part, names if known else ()) as new:
+        for name in names:
+            write_text(new / name, f"of {part}")
+
+
+def test_a_folder_is_cleared_only_of_what_was_written_there(tmp_path):
+    renew(tmp_path / "own", "a", "tables/b")
+    for name in ("mine", "tables/mine.csv", "sub/folder/mine"):
+        write_text(tmp_path / "own" / name, "precious")
+    renew(tmp_path / "own", "tables/c")
+    assert files_in(tmp_path / "own") == {"mine", "tables/mine.csv", "sub/folder/mine", "tables/c"}
+    renew(tmp_path / "own", "d", part="another", known=True)
+    renew(tmp_path / "own", "e")
+    assert files_in(tmp_path / "own") >= {"d", "e"} and not (tmp_path / "own" / "tables/c").exists()
+
+
+def test_a_folder_of_others_is_refused_and_stays(tmp_path):
+    write_text(tmp_path / "home" / "notes" / "thesis.txt", "precious")
+    renew(tmp_path / "home", "audit.html", part="audit", known=True)
+    with pytest.raises(InputError, match="thesis.txt is there and was not written by this command; choose a"):
+        renew(tmp_path / "home", "index.html")
+    with pytest.raises(InputError, match="audit.html is there and was not written by this command"):
+        renew(tmp_path / "home", "audit.html", part="other", known=True)
+    renew(tmp_path / "home", "audit.html", part="audit", known=True)
+    assert files_in(tmp_path / "home") == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
+
+
+@pytest.mark.parametrize("listed", ["[", '{"book": ["../mine"]}', '{"book": 3}', '{"book": [3]}', "[]"])
+def test_a_manifest_that_lies_removes_nothing_outside(tmp_path, listed):
+    write_text(tmp_path / "mine", "precious")
+    write_text(tmp_path / "own" / MANIFEST, listed)
+    try:
+        renew(tmp_path / "own", "a")
+    except InputError as error:
+        assert "lies outside of it" in str(error)
+    assert (tmp_path / "mine").read_text() == "precious"
+
+
+@pytest.mark.parametrize("place", [".", "results", "foreign"])
+def test_book_refuses_what_is_no_book(tmp_path, monkeypatch, capsys, place):
+    for name in ("notebooks/a.ipynb", "results/soups/b.npz", "foreign/tables/c.csv"):
+        write_text(tmp_path / name, "precious")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["book", "--out", place, "--quiet"]) == 1
+    assert "was not written by this command; choose a new or an empty folder" in capsys.readouterr().err
+    assert files_in(tmp_path) == {"notebooks/a.ipynb", "results/soups/b.npz", "foreign/tables/c.csv"}
+
+
+def test_figures_of_a_notebook_replace_its_own_and_no_others(tmp_path):
+    def draw(name: str, *keys: str) -> None:
+        with figures_of(Path(f"{name}.ipynb"), tmp_path / "book" / "figures"):
+            for key in keys:
+                write_text(Path(f"{os.environ['PAPER_ARTIFACT_FIGURES']}_{key}.svg"), key)
+
+    draw("06", "a", "b")
+    draw("06_c", "a")
+    renew(tmp_path / "book", "index.html", "figures/07_x.png")
+    draw("06", "a")
+    draw("07", "x")
+    assert files_in(tmp_path / "book") - {f"figures/{MANIFEST}"} == {
+        "index.html",
+        *(f"figures/{name}" for name in ("06_a.svg", "06_c_a.svg", "07_x.png", "07_x.svg")),
+    }
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_a_kill_left_goes_with_the_next_write_and_live_work_stays(tmp_path, way):
+    runs = tmp_path / "runs"
+    place = runs / "x" if way == "folder" else runs
+    write_text(place / f"{PARTIAL}of-others" / "mine", "precious")
+    with writing(way, runs / "x"):
+        write_text(place / "b", "whole")
+        assert len(partials(tmp_path)) == 2 and find_records(runs) == []
+    assert len(partials(tmp_path)) == 2 and find_records(runs) == []
+    (place / "b").unlink()
+    write(way, runs / "x")
+    assert partials(tmp_path) == [place / f"{PARTIAL}of-others"]
+
+
+def test_a_killed_build_does_not_make_its_folder_foreign(tmp_path):
+    with writing("folder", tmp_path / "scene"):
+        pass
+    build_scene(make_shape("cube"), TINY, tmp_path / "scene")
+    assert not partials(tmp_path)
+
+
+def test_a_partial_record_of_an_older_version_does_not_close_a_folder(tmp_path):
+    write_text(tmp_path / ".sphere-C0-s0-abc.partial.json", "{")
+    assert find_records(tmp_path) == []
+
+
+def test_files_and_folders_have_the_rights_that_the_user_wants(tmp_path):
+    for mask in (0o077, 0o002, 0o027):
+        before = os.umask(mask)
+        try:
+            write_text(tmp_path / f"{mask}.txt", "a")
+            scene = build_scene(make_shape("cube"), TINY, tmp_path / f"{mask}")
+        finally:
+            os.umask(before)
+        rights = Counter(path.stat().st_mode & 0o777 for path in (scene, *scene.rglob("*")) if path.is_dir())
+        assert set(rights) == {0o777 & ~mask}
+        assert {path.stat().st_mode & 0o777 for path in tmp_path.rglob("*.png") if scene in path.parents} | {
+            path.stat().st_mode & 0o777 for path in (tmp_path / f"{mask}.txt", scene / "scene.json")
+        } == {0o666 & ~mask}
+
+
+def test_a_name_that_no_file_can_have_is_a_sentence(tmp_path):
+    with pytest.raises(InputError, match="cannot write .*File name too long"):
+        write_text(tmp_path / ("x" * 300), "a")
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a"):
+        (tmp_path / "absent").read_bytes()
+
+
+def build(folder: str) -> str:
+    """Build a scene and say what went wrong, "" for nothing."""
+    try:
+        build_scene(make_shape("cube"), TINY, Path(folder))
+        json.loads((Path(folder) / "scene.json").read_text())
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def failures(rounds: int, folder: Path) -> Counter:
+    """Build `rounds` scenes, each in four processes at once, all in one folder; count what went wrong."""
+    names = [str(folder / f"my-{index}") for index in range(rounds) for _ in range(4)]
+    with ProcessPoolExecutor(4, mp_context=get_context("forkserver")) as pool:
+        return Counter(text for text in pool.map(build, names) if text)
+
+
+def test_four_processes_build_one_scene(tmp_path):
+    assert not failures(5, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 5
+
+
+if __name__ == "__main__":
+    count = int(sys.argv[1])
+    with tempfile.TemporaryDirectory() as place:
+        print(f"{count} builds: {failures(count // 4, Path(place)) or 'no failure'}")
