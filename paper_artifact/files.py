@@ -142,21 +142,21 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 @contextmanager
-def renewed_folder(folder: Path, part: str, names: Collection[str] = ()) -> Iterator[Path]:
+def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None) -> Iterator[Path]:
     """Yield an empty temporary folder; on a clean exit its files move into `folder`, and what an earlier call
     for the same part moved there and this one did not is removed. All other files in `folder` stay.
 
-    The folder's MANIFEST lists what was moved, by part. names: all files that will be made, where they are
-    known before. Raises InputError when one of them exists and is not listed; without names, when the folder
-    holds any file that is not listed, unless it was written for this part before. Also as `atomic_path` does.
+    The folder's MANIFEST lists what was moved, by part. Raises InputError when one of the files `names`
+    exists and is not listed; for None, when any file exists that is not listed, unless the folder was written
+    for this part before. Also as `atomic_path` does.
     """
     folder = Path(folder)
     with ExitStack() as stack:
         with _writing(folder):
             before = _listed(folder).get(part)
-            if names:
-                new_names = (folder / name for name in names if name not in (before or ()))
-                foreign = next((path for path in new_names if path.exists()), None)
+            if names is not None:
+                unlisted = (folder / name for name in names if name not in (before or ()))
+                foreign = next((path for path in unlisted if path.exists()), None)
             else:
                 foreign = _unlisted(folder) if before is None else None
             if foreign is not None:

