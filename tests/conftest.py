@@ -1,11 +1,16 @@
-"""Fixtures that more than one test file uses: the tiny scene, built once a session."""
+"""Fixtures that more than one test file uses: the tiny scene, built once a session; the external meshes."""
 
 from __future__ import annotations
+
+import os
+import urllib.error
+import urllib.request
 
 import pytest
 import torch
 
 from paper_artifact.pipeline import prepare_scene
+from paper_artifact.scene.fetch import MIRROR_VARIABLE, RAW
 from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import tiny_config
 
@@ -31,3 +36,18 @@ def own_threads(monkeypatch):
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def meshes():
+    """For tests that need external meshes: skips where no mirror is set and GitHub cannot be reached."""
+    if os.environ.get(MIRROR_VARIABLE):
+        return
+    try:
+        urllib.request.urlopen(RAW, timeout=10).close()
+    except urllib.error.HTTPError as answer:  # reached, whatever it thinks of the address
+        answer.close()
+    except OSError as error:
+        pytest.skip(
+            f"external meshes: {RAW} cannot be reached ({error}) and {MIRROR_VARIABLE} names no folder"
+        )
