@@ -10,8 +10,9 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar, get_type_hints
+from dataclasses import dataclass, field, fields, replace
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from paper_artifact.errors import InputError
 
@@ -21,18 +22,40 @@ DEFAULTS_VERSION = 1
 # versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
-KINDS = ("topology", "repulsion", "betti")
-SUPPRESS = ("floor", "all", "none")
-AIMS = ("deaths", "smoothed", "births", "none")
-BACKGROUNDS = ("white", "black", "texture")
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
-CENTRES = ("topological", "random")
-LEVERS = ("resampling", "start")
-FLOOR_SOURCES = ("bundle", "live")
-FALLBACKS = ("detach", "drop", "subgradient", "denser")
-METHODS = ("fast", "gudhi")
 STEPS_OF_THE_STUDY = 2500
+LEAST_SIDE = 22  # pixels of an image: the SSIM window is 11, resampling works at half size
 DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500)  # of these steps
+
+
+def _setting(default: Any, about: str, low: float | None = None, **more: Any) -> Any:
+    """Return a field whose metadata say what it is ("help") and which values it takes: at least "low", more
+    than "above", at most "high", less than "below", one of "choices"."""
+    given = {"help": about, "low": low} | more
+    return field(
+        default=default, metadata={name: value for name, value in given.items() if value is not None}
+    )
+
+
+def limits(about: Mapping[str, Any]) -> str:
+    """Return the range that a field's metadata state as words, "" for none: "at least 0 and below 1"."""
+    words = {"above": "more than", "low": "at least", "below": "below", "high": "at most"}
+    found = [f"{word} {about[name]:g}" for name, word in words.items() if name in about]
+    return " and ".join(found).replace("more than 0", "positive")
+
+
+def check_ranges(config: Any) -> None:
+    """Raise InputError for a field of the dataclass that is outside the range of its metadata."""
+    for each in fields(config):
+        about, value = each.metadata, getattr(config, each.name)
+        if "choices" in about and value not in about["choices"]:
+            raise InputError(f"unknown {each.name} {value!r}; choose one of {', '.join(about['choices'])}")
+        if limits(about) and not (
+            about.get("above", -math.inf) < value < about.get("below", math.inf)
+            and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
+        ):
+            unit = f" {about['unit']}" if "unit" in about else ""
+            raise InputError(f"{each.name} must be {limits(about)}{unit}, got {value}")
 
 
 @dataclass(frozen=True)
@@ -43,57 +66,59 @@ class LossConfig:
     by that of the SfM cloud.
     """
 
-    # "topology": matched persistence (paper §3.3); "repulsion": the control C2 (§3.5); "betti": Betti numbers
-    # instead of a target diagram (`paper_artifact.topology.betti`)
-    kind: str = "topology"
-    rho: float = (
-        0.1  # weighted topology gradient ÷ photometric gradient, norms at the first active step (§3.4)
+    kind: str = _setting(
+        "topology",
+        "matched persistence (paper §3.3), the control C2 (§3.5), or stated Betti numbers",
+        choices=("topology", "repulsion", "betti"),
     )
-    ramp: tuple[float, float] | None = (0.2, 0.5)  # fractions of the run between which λ grows; None: at once
-    recruitment: bool = True  # the paper's L_recruit: missing targets claim the nearest unmatched bar
-    noise: float = 0.0  # standard deviation of the noise that only the plan sees (C7)
-    repulsion_radius: float = 4.0  # reach of the control, in median spacings of the target
-    curvature_weighted: bool = False  # weigh each bar by the curvature at its samples (C4; our definition)
-    samples: int = 2048  # M: points of the live cloud and of the target bundle; 0 ("auto"): see AUTO
-    dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant target bar
-    bundle_seed: int = 0  # of the target bundle's samples
-    calibration_batches: int = 1  # batches whose gradient norms are averaged when λ is set; paper: one
-    refresh_every: int = 10  # K: steps between two plans; 0 only for `TopologyLoss`: a plan is made on demand
-    floor_source: str = "bundle"  # whose 6 r_med decides which live bars are significant: "bundle" or "live"
-    fallback: str = "detach"  # for a pair that fails the Gabriel gate, see `paper_artifact.alpha.gabriel`
-    method: str = "fast"  # alpha persistence by our kernels ("fast") or by gudhi (the oracle)
+    rho: float = _setting(
+        0.1, "norm of the topology gradient ÷ photometric one, at the first active step (§3.4)", above=0
+    )
+    ramp: tuple[float, float] | None = _setting(
+        (0.2, 0.5), "fractions of the run between which the weight grows"
+    )
+    recruitment: bool = _setting(True, "missing targets claim the nearest free bar (L_recruit)")
+    noise: float = _setting(0.0, "standard deviation of the noise that only the plan sees (C7)", 0)
+    repulsion_radius: float = _setting(4.0, "reach of the control, in median spacings of the target", above=0)
+    curvature_weighted: bool = _setting(False, "weigh each bar by the curvature at its samples (C4)")
+    samples: int = _setting(2048, f"M, points of live cloud and target bundle; 0 is {AUTO!r}", 0)
+    dimensions: tuple[int, ...] | None = _setting(None, "where the loss acts; None: where targets are")
+    bundle_seed: int = _setting(0, "seed of the target bundle's samples", 0)
+    calibration_batches: int = _setting(1, "batches whose gradient norms set the weight; paper: one", 1)
+    refresh_every: int = _setting(10, "K, steps between two plans; 0: on demand (`TopologyLoss`)", 0)
+    floor_source: str = _setting(
+        "bundle", "whose 6 r_med a significant live bar exceeds", choices=("bundle", "live")
+    )
+    fallback: str = _setting(
+        "detach",
+        "of a pair that fails the Gabriel gate (`alpha.gabriel`)",
+        choices=("detach", "drop", "subgradient", "denser"),
+    )
+    method: str = _setting("fast", "of alpha persistence", choices=("fast", "gudhi"))
     # Of the kind "betti" alone.
-    betti: tuple[int, ...] | None = None  # b0, b1, b2 as the samples show them: components, loops, voids
-    guard: float = 0.5  # a bar shorter than this fraction of the live floor is not taken for a wanted one
-    # pushed to the diagonal beyond the wanted bars: "floor" what exceeds the live floor; "all" in H1 and H2;
-    # "none" nothing
-    suppress: str = "floor"
-    # what wanted bars are pulled to: "deaths" beyond their own by `pull`; "smoothed" to no less than those of
-    # the smoothed cloud; "births" to what a clean sample has; "none" not at all
-    aim: str = "deaths"
-    pull: float = 2.0  # how far beyond a wanted bar's death its target lies, in live median spacings
+    betti: tuple[int, ...] | None = _setting(None, "b0, b1, b2 (components, loops, voids) that samples show")
+    guard: float = _setting(0.5, "a wanted bar is longer than this fraction of the live floor", 0)
+    suppress: str = _setting(
+        "floor",
+        "other bars that are pushed to the diagonal: above the floor; all of H1, H2; none",
+        choices=("floor", "all", "none"),
+    )
+    aim: str = _setting(
+        "deaths",
+        "of wanted bars: deaths beyond theirs by `pull`, the smoothed cloud's, clean births",
+        choices=("deaths", "smoothed", "births", "none"),
+    )
+    pull: float = _setting(2.0, "target of a wanted death beyond itself, in live median spacings", 0)
 
     def __post_init__(self) -> None:
-        _one_of("loss kind", self.kind, KINDS)
-        _one_of("suppress rule", self.suppress, SUPPRESS)
-        _one_of("aim", self.aim, AIMS)
-        _one_of("floor_source", self.floor_source, FLOOR_SOURCES)
-        _one_of("Gabriel fallback", self.fallback, FALLBACKS)
-        _one_of("persistence method", self.method, METHODS)
-        for name in ("rho", "repulsion_radius"):
-            _positive(self, name)
-        for name in ("noise", "guard", "pull"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
+        check_ranges(self)
         if self.samples == 0 and self.kind != "betti":
             raise InputError(
                 f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1, T2); for {self.kind!r} "
                 "give the number that `python -m paper_artifact audit` finds"
             )
-        lowest = {"samples": 4, "bundle_seed": 0, "calibration_batches": 1, "refresh_every": 0}
-        for name, least in lowest.items():
-            if name != "samples" or self.samples != 0:
-                _at_least(self, name, least)
+        if 0 < self.samples < 4:
+            raise InputError(f"samples must be at least 4, got {self.samples}")
         _check_betti(self)
         if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
@@ -107,122 +132,81 @@ class LossConfig:
 class AllocationConfig:
     """A prior of the allocation study: where triangles are kept and made (paper App. A).
 
-    Raises InputError for a value out of range. `protection` and `subdivided` are not in the paper; the values
-    of the study stand in `paper_artifact.catalogue.PRIOR`, these defaults never change.
+    Raises InputError for a value out of range. `protection` and `subdivided` are not in the paper; the
+    study's values are `paper_artifact.catalogue.PRIOR`, these defaults never change.
     """
 
-    centres: str = "topological"  # at birth and death vertices; "random": drawn on the surface per seed
-    spread: float = 1.0  # s: widens each kernel at constant mass; 1 concentrated (B2), 3 spread (B4)
-    levers: str = "resampling"  # protect and respawn (B2–B5); "start": only the first triangles (B1)
-    protection: float = 1.0  # λ of the prune order: visible pixels + λ · Q.9(visible pixels) · importance
-    subdivided: float = 0.1  # share of the budget that is subdivided at a resampling, most important first
-    samples: int = 2048  # M of the target bundle whose features make the field
-    bundle_seed: int = 0  # of that bundle's samples
+    centres: str = _setting(
+        "topological", "birth and death vertices, or drawn per seed", choices=("topological", "random")
+    )
+    spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", above=0)
+    levers: str = _setting(
+        "resampling",
+        "protect and respawn (B2–B5), or the first triangles (B1)",
+        choices=("resampling", "start"),
+    )
+    protection: float = _setting(1.0, "λ of the prune order: pixels + λ · Q.9(pixels) · importance", 0)
+    subdivided: float = _setting(0.1, "share of the budget that a resampling subdivides", 0, high=1)
+    samples: int = _setting(2048, "M, points of the bundle that makes the field", 4)
+    bundle_seed: int = _setting(0, "seed of that bundle's samples", 0)
 
     def __post_init__(self) -> None:
-        _one_of("allocation centres", self.centres, CENTRES)
-        _one_of("allocation levers", self.levers, LEVERS)
-        _positive(self, "spread")
-        if not 0 <= self.protection < math.inf:
-            raise InputError(f"protection must not be negative, got {self.protection}")
-        if not 0 <= self.subdivided <= 1:
-            raise InputError(f"subdivided must be a share from 0 to 1, got {self.subdivided}")
-        for name, least in {"samples": 4, "bundle_seed": 0}.items():
-            _at_least(self, name, least)
-
-
-# What a run's scene may suffer, and the value that each must stay below.
-NOISES = {
-    "image_noise": 1.0,
-    "camera_noise": 0.5,
-    "cloud_noise": 0.5,
-    "cloud_outliers": 1.0,
-    "cloud_missing": 0.9,
-}
+        check_ranges(self)
 
 
 @dataclass(frozen=True)
 class GivenConfig:
     """One's own mesh or scene, by content: `scene.given.resolve` puts digests in the place of paths."""
 
-    digest: str = ""  # sha256 (hex) of the mesh's geometry or the scene's files; "" before they were read
-    target: str | None = None  # of a scene: mesh or bundle.json; in a record the sha256 of its content
-    downscale: float = 1.0  # of a scene: every photograph is made smaller by this factor
-    background: str | None = None  # of a scene: see `scene.load.load_scene`; None: its own, else white
-    holdout: str | None = None  # of a scene: see `scene.holdout.held_out`; None: the scene's own rule
+    digest: str = _setting("", "sha256 of the mesh's geometry or the scene's files")
+    target: str | None = _setting(None, "of a scene: mesh or bundle.json, in a record its sha256")
+    downscale: float = _setting(1.0, "of a scene: each photograph is made smaller by this factor", 1)
+    background: str | None = _setting(None, "of a scene, see `scene.load.load_scene`")
+    holdout: str | None = _setting(None, "of a scene, see `scene.holdout.held_out`")
 
     def __post_init__(self) -> None:
-        if not 1 <= self.downscale < math.inf:
-            raise InputError(f"downscale must be at least 1 (2 halves the width), got {self.downscale}")
+        check_ranges(self)
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """One training run. Raises InputError for a value out of range."""
 
-    shape: str  # an analytic shape, the key of an external mesh, a mesh file or a scene's folder
-    condition: str = "C0"  # a tag of `paper_artifact.catalogue`; what it means stands in `loss`
-    seed: int = 0  # of everything random
-    steps: int = STEPS_OF_THE_STUDY
-    budget: int = 1200  # N: triangles kept by pruning
-    views: int = 48  # rendered around the mesh, every 8th held out
-    size: int = 200  # of a view, pixels
-    background: str = "white"  # "black", or "texture": a patterned surrounding, infinitely far away
-    batch: int = 4  # views per step
-    vertex_lr: float = 1e-2  # learning rate of the vertices, per unit of scene radius (world units)
-    feature_lr: float = 5e-2  # of the feature logits
-    opacity_lr: float = 5e-2  # of the opacity logits
-    mlp_lr: float = 1e-2  # of the shading MLP's weights
-    final_lr: float = 0.01  # every learning rate decays to this fraction
-    initial_ratio: float = 7.5  # initial triangles ÷ budget; the first resampling prunes to the budget
-    resample_every: int = 100  # steps
-    split_views: int = 20  # views in which long edges are split
-    split_height: float = 0.2  # an edge longer than this fraction of the image height is split
-    dump_steps: tuple[int, ...] = DUMP_STEPS  # that are evaluated, after their resampling
-    samples: int = 20_000  # surface samples of an evaluation
+    shape: str = field(metadata={"help": "a name of the study, a mesh file or a scene's folder"})
+    condition: str = _setting("C0", "a tag of `paper_artifact.catalogue`; `loss` holds what it means")
+    seed: int = _setting(0, "of everything random", 0)
+    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1)
+    budget: int = _setting(1200, "triangles kept by pruning (N)", 1)
+    views: int = _setting(48, "rendered around the mesh, every 8th held out", 2)
+    size: int = _setting(200, "side of a view", LEAST_SIDE, unit="pixels")
+    background: str = _setting(
+        "white", "of the views; a texture is infinitely far away", choices=("white", "black", "texture")
+    )
+    batch: int = _setting(4, "views per step", 1)
+    vertex_lr: float = _setting(1e-2, "learning rate of vertices, / scene radius", above=0, high=1)
+    feature_lr: float = _setting(5e-2, "learning rate of the feature logits", above=0, high=100)
+    opacity_lr: float = _setting(5e-2, "learning rate of the opacity logits", above=0, high=100)
+    mlp_lr: float = _setting(1e-2, "learning rate of the shading MLP", above=0, high=100)
+    final_lr: float = _setting(0.01, "every learning rate decays to this fraction", above=0, high=1)
+    initial_ratio: float = _setting(7.5, "initial triangles ÷ budget", above=0)
+    resample_every: int = _setting(100, "steps between two resamplings", 1)
+    split_views: int = _setting(20, "views in which long edges are split", 0)
+    split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", above=0)
+    dump_steps: tuple[int, ...] = _setting(DUMP_STEPS, "evaluated steps")
+    samples: int = _setting(20_000, "surface samples of an evaluation", 4)
     # What a scene of photographs does to training views and start (`paper_artifact.scene.perturb`); held-out
     # views and the truth of the evaluation stay clean. D is the mesh's diagonal.
-    image_noise: float = 0.0  # standard deviation per pixel and channel, colours in [0,1]
-    camera_noise: float = 0.0  # standard deviation per axis of a camera's centre, / D
-    cloud_noise: float = 0.0  # standard deviation per axis of a point of the SfM cloud, / D
-    cloud_outliers: float = 0.0  # share of the cloud's points that lie anywhere
-    cloud_missing: float = 0.0  # share of the cloud's points that is cut out, in three places
-    loss: LossConfig | None = None  # None: photometric loss only (C0)
-    allocation: AllocationConfig | None = None  # None: DiffSoup's own resampling
-    given: GivenConfig | None = None  # one's own mesh or scene; None: a shape of the study
+    image_noise: float = _setting(0.0, "standard deviation per pixel and channel, of 1", 0, below=1.0)
+    camera_noise: float = _setting(0.0, "standard deviation of a camera's centre, / D", 0, below=0.5)
+    cloud_noise: float = _setting(0.0, "standard deviation of the SfM cloud's points, / D", 0, below=0.5)
+    cloud_outliers: float = _setting(0.0, "share of the cloud that lies anywhere", 0, below=1.0)
+    cloud_missing: float = _setting(0.0, "share of the cloud cut out in three places", 0, below=0.9)
+    loss: LossConfig | None = _setting(None, "the topology loss")
+    allocation: AllocationConfig | None = _setting(None, "the allocation prior")
+    given: GivenConfig | None = _setting(None, "one's own mesh or scene")
 
     def __post_init__(self) -> None:
-        lowest = {
-            "steps": 1,
-            "budget": 1,
-            "views": 2,
-            "batch": 1,
-            "resample_every": 1,
-            "split_views": 0,
-            "samples": 4,
-            "seed": 0,
-        }
-        for name, least in lowest.items():
-            _at_least(self, name, least)
-        if self.size < 22:
-            raise InputError(
-                "size must be at least 22 pixels (the SSIM window is 11, resampling works at half size), "
-                f"got {self.size}"
-            )
-        for name in (
-            "vertex_lr",
-            "feature_lr",
-            "opacity_lr",
-            "mlp_lr",
-            "final_lr",
-            "initial_ratio",
-            "split_height",
-        ):
-            _positive(self, name)
-        _one_of("background", self.background, BACKGROUNDS)
-        for name, beyond in NOISES.items():
-            if not 0 <= getattr(self, name) < beyond:
-                raise InputError(f"{name} must be at least 0 and below {beyond:g}, got {getattr(self, name)}")
+        check_ranges(self)
         whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
         if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
@@ -230,11 +214,12 @@ class RunConfig:
             raise InputError("refresh_every must be at least 1 in a run, got 0")
         if self.loss is not None and self.loss.kind == "betti" and self.loss.betti is None:
             raise InputError(
-                f"condition {self.condition} needs the Betti numbers of {self.shape!r} in words: give "
+                f"condition {self.condition} needs the Betti numbers of {self.shape!r}: give "
                 "--betti b0,b1,b2, for example --betti 1,2,1 for one component, two loops and one void"
             )
 
 
+NOISES = ("image_noise", "camera_noise", "cloud_noise", "cloud_outliers", "cloud_missing")
 Config = TypeVar("Config", LossConfig, AllocationConfig, GivenConfig, RunConfig)
 Part = LossConfig | AllocationConfig | GivenConfig
 # fields of a RunConfig that are configurations themselves
@@ -261,11 +246,15 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise InputError(f"{option} takes NAME=VALUE, got {text!r}")
+            raise InputError(f"{option} takes NAME=VALUE, got {_brief(text)}")
         try:
             parsed[name.replace("-", "_")] = ast.literal_eval(value)
         except (ValueError, SyntaxError):
             parsed[name.replace("-", "_")] = value
+        except (RecursionError, MemoryError) as error:
+            raise InputError(
+                f"{option} {name}: {_brief(value)} is no number, text or list of these; give one"
+            ) from error
     return parsed
 
 
@@ -333,39 +322,33 @@ def _former(version: int, prefix: str) -> dict[str, Any]:
 
 def _converted(name: str, kind: Any, value: Any) -> Any:
     """Return `value` as a field of that type takes it; InputError when it is another kind of thing."""
-    text = str(kind)
-    if isinstance(value, list):
-        value = tuple(value)
+    parts = [each for each in get_args(kind) if each is not NoneType]
+    wanted = parts[0] if NoneType in get_args(kind) else kind
+    if value is None and NoneType in get_args(kind):
+        return None
+    if name == "betti":  # `_check_betti` says what is wrong with it
+        return tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if name == "samples" and value == AUTO:
-        value = 0
-    if name == "betti" and value is not None:
-        return value if isinstance(value, tuple) else (value,)  # `_check_betti` says what is wrong with it
-    if "tuple" in text and isinstance(value, int) and not isinstance(value, bool):
-        value = (value,)
-    if "float" in text and "tuple" not in text and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if "tuple[float" in text and isinstance(value, tuple):
-        value = tuple(float(item) if isinstance(item, int) else item for item in value)
-    fits = {
-        "int": isinstance(value, int) and not isinstance(value, bool),
-        "float": isinstance(value, float) and math.isfinite(value),
-        "bool": isinstance(value, bool),
-        "str": isinstance(value, str),
-    }
-    if kind in (int, float, bool, str):
-        good = fits[kind.__name__]
-    elif text == "str | None":
-        good = value is None or isinstance(value, str)
-    elif "tuple" in text:
-        item = float if "tuple[float" in text else int
-        whole = isinstance(value, tuple) and all(type(x) is item for x in value)
-        good = whole or (value is None and "None" in text)
-    else:
-        good = value is None or isinstance(value, tuple(PARTS.values()))
-    if not good:
-        word = kind.__name__ if kind in (int, float, bool, str) else text
-        raise InputError(f"{name} takes a value of kind {word}, got {value!r}")
-    return value
+        return 0
+    if get_origin(wanted) is tuple:
+        item = get_args(wanted)[0]
+        several = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+        several = tuple(float(each) if item is float and type(each) is int else each for each in several)
+        if all(type(each) is item for each in several):
+            return several
+    elif wanted is float and type(value) in (int, float):
+        if math.isfinite(value):
+            return float(value)
+    elif type(value) is wanted:
+        return value
+    word = kind.__name__ if isinstance(kind, type) else str(kind)
+    raise InputError(f"{name} takes a value of kind {word}, got {_brief(value)}")
+
+
+def _brief(value: Any) -> str:
+    """Return a value as a message shows it, shortened."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:60]}… ({len(text)} characters)"
 
 
 def _check_betti(loss: LossConfig) -> None:
@@ -376,24 +359,7 @@ def _check_betti(loss: LossConfig) -> None:
     if loss.kind != "betti":
         raise InputError(f"betti belongs to the loss kind 'betti' (conditions T1, T2), not to {loss.kind!r}")
     words = "betti takes three whole numbers b0,b1,b2 (components, loops, voids)"
-    if not isinstance(numbers, tuple) or not all(type(each) is int for each in numbers) or len(numbers) != 3:
-        raise InputError(f"{words}, got {numbers!r}")
-    if min(numbers) < 0:
-        raise InputError(f"{words}, none of them negative, got {numbers}")
-    if numbers[0] == 0:
-        raise InputError(f"{words}; b0 counts the components and is at least 1, got {numbers}")
-
-
-def _at_least(config: Any, name: str, least: int) -> None:
-    if getattr(config, name) < least:
-        raise InputError(f"{name} must be at least {least}, got {getattr(config, name)}")
-
-
-def _positive(config: Any, name: str) -> None:
-    if not 0 < getattr(config, name) < math.inf:
-        raise InputError(f"{name} must be positive and finite, got {getattr(config, name)}")
-
-
-def _one_of(word: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise InputError(f"unknown {word} {value!r}; choose one of {', '.join(known)}")
+    if not isinstance(numbers, tuple) or len(numbers) != 3 or any(type(each) is not int for each in numbers):
+        raise InputError(f"{words}, got {_brief(numbers)}")
+    if min(numbers) < 0 or numbers[0] == 0:
+        raise InputError(f"{words}, none of them negative and b0 at least 1, got {numbers}")

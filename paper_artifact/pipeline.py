@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from paper_artifact.config import NOISES, AllocationConfig, GivenConfig, RunConfig
+from paper_artifact.config import LEAST_SIDE, NOISES, AllocationConfig, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import (
@@ -53,7 +53,6 @@ from paper_artifact.topology.words import words_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 
-LEAST_SIDE = 22  # pixels: the SSIM window is 11, resampling works at half size
 DENSE = 20_000  # points of the target surface that hold an importance field
 
 

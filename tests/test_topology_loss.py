@@ -238,7 +238,7 @@ def test_flat_cases_and_wrong_density_are_refused(void):
         loss(torch.zeros((400, 3), dtype=torch.int64))
     with pytest.raises(InputError, match="samples a surface again"):
         TopologyLoss(bundle, fallback="denser")
-    with pytest.raises(InputError, match="unknown Gabriel fallback"):
+    with pytest.raises(InputError, match="unknown fallback"):
         TopologyLoss(bundle, fallback="ignore")
     with pytest.raises(InputError, match="unknown floor_source"):
         TopologyLoss(bundle, floor_source="none")

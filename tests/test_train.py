@@ -29,7 +29,7 @@ from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
 from paper_artifact.train.loop import batch_views, train
-from paper_artifact.train.state import TrainingError, TrainState
+from paper_artifact.train.state import TrainingError, TrainState, learning_rates
 from tests.tiny_run import STEPS, parts, tiny_arguments, tiny_config
 
 RESAMPLED = [10, 20, 30, 40, 50]
@@ -282,23 +282,38 @@ class BadTerm(FakeTerm):
         return torch.sqrt(0 * vertices.sum()) if self.gradient_only else vertices.sum() * torch.nan
 
 
+def diverging(monkeypatch, name: str, first: int) -> None:
+    """Let the learning rate of `name` be beyond what a configuration may ask for, from step `first` on."""
+    monkeypatch.setattr(
+        "paper_artifact.train.loop.learning_rates",
+        lambda config, radius, step: (
+            learning_rates(config, radius, step) | ({name: 1e30} if step >= first else {})
+        ),
+    )
+
+
 @pytest.mark.parametrize(
-    "changes, term, words",
+    "rate, term, words",
     [
-        ({"mlp_lr": 1e30}, None, r"the loss of step 2 is nan"),
-        ({}, BadTerm(gradient_only=False), r"the added loss term of step 4 is nan"),
-        ({}, BadTerm(gradient_only=True), r"vertices are not finite after step 4"),
+        ("mlp", None, r"the loss of step 2 is nan"),
+        (None, BadTerm(gradient_only=False), r"the added loss term of step 4 is nan"),
+        (None, BadTerm(gradient_only=True), r"vertices are not finite after step 4"),
     ],
 )
-def test_what_is_not_finite_stops_the_run_and_names_the_step(changes, term, words, tiny_scene, tmp_path):
+def test_what_is_not_finite_stops_the_run_and_names_the_step(
+    rate, term, words, tiny_scene, tmp_path, monkeypatch
+):
+    if rate:
+        diverging(monkeypatch, rate, 1)
     with pytest.raises(TrainingError, match=words):
-        train(tiny_scene, tiny_config(**changes), term=term, checkpoint=tmp_path / "run.pt", device="cpu")
+        train(tiny_scene, tiny_config(), term=term, checkpoint=tmp_path / "run.pt", device="cpu")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys):
+def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys, monkeypatch):
     shutil.copytree(tiny_results, tmp_path / "results")
-    assert cli.main([*tiny_arguments(), "--set=mlp_lr=1e30", f"--results={tmp_path / 'results'}"]) == 1
+    diverging(monkeypatch, "mlp", 1)
+    assert cli.main([*tiny_arguments(), f"--results={tmp_path / 'results'}"]) == 1
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1 and "the loss of step 2 is nan" in error
     assert (
