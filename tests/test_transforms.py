@@ -107,13 +107,13 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"k1": 0.1}, "undistort"),
-        ({"camera_angle_x": 0}, "neither camera_angle_x nor fl_x"),
+        ({"k1": -9}, "undistort"),
+        ({"camera_angle_x": 0}, "no focal length of"),
         ({"frames": []}, "0 frames"),
         ({"frames": 3}, "damaged or no transforms.json"),
         (
             {"frames": [{"file_path": "gone", "transform_matrix": np.eye(4).tolist()}] * 2},
-            "gone, which is not there",
+            "gone is not there",
         ),
         ({"frames": [{"file_path": "9" * 5000, "transform_matrix": np.eye(4).tolist()}] * 2}, "cannot be"),
         ({"frames": [{"file_path": "train/r_0", "transform_matrix": [[0] * 4] * 4}] * 2}, "is no pose"),
@@ -123,12 +123,121 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
         ),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
         ({"w": 1e-300, "fl_x": 70.0}, "are none of a camera of 60 pixels"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR, which is not read"),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0}, "camera_model OPENCV_FISHEYE"),
+        ({"is_fisheye": True}, "is_fisheye"),
+        ({"w": 60, "h": 45}, "another aspect"),
+        ({"cx": 640.0, "cy": 360.0}, "add w and h"),
+        ({"ply_file_path": "gone.ply"}, "the cloud gone.ply, which is not there"),
+        ({"ply_file_path": "transforms.json"}, "no PLY file"),
     ],
 )
 def test_bad_files(folder, tmp_path, values, message):
     with pytest.raises(InputError, match=message):
         transforms_scene(changed(folder, **values), tmp_path / "bad")
     assert not (tmp_path / "bad").exists()
+
+
+def framed(folder, change, **values):
+    content = json.loads((folder / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        change(index, frame)
+    return changed(folder, frames=content["frames"], **values)
+
+
+def test_a_frame_has_its_own_intrinsics(folder, cameras):
+    focal = cameras[0].focal_x
+
+    def wider(index, frame):
+        frame.update({"fl_x": focal / 2, "fl_y": focal / 3, "cx": 31, "cy": 29} if index % 2 else {})
+
+    views = read_transforms(framed(folder, wider))
+    for index, (_, camera, _, _, _) in enumerate(views):
+        expected = (focal / 2, focal / 3, 31, 29) if index % 2 else (focal, focal, SIZE / 2, SIZE / 2)
+        assert np.allclose((camera.focal_x, camera.focal_y, camera.centre_x, camera.centre_y), expected)
+    for values in (
+        {"camera_angle_x": None, "camera_angle_y": 2 * np.arctan(SIZE / 2 / focal)},
+        {"camera_angle_x": None, "fl_y": focal},
+        {"fl_x": 3 * focal, "w": 3 * SIZE, "h": 3 * SIZE},
+    ):
+        camera = read_transforms(changed(folder, **values))[0].camera
+        assert np.allclose((camera.focal_x, camera.focal_y), focal)
+
+
+@pytest.mark.parametrize("k1", [-0.2, 0.2])
+def test_distortion_is_taken_out(k1, cameras, tmp_path):
+    """A picture bent by pycolmap's OpenCV lens comes back as the pinhole's, but for two interpolations."""
+    pycolmap = pytest.importorskip("pycolmap")
+    lens, c = {"k1": k1, "k2": 0.05, "p1": 0.01, "p2": -0.005}, cameras[0]
+    size = 300
+    focal = c.focal_x * size / SIZE
+    bent = pycolmap.Camera(
+        model="OPENCV", width=size, height=size, params=[focal, focal, size / 2, size / 2, *lens.values()]
+    )
+    u, v = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+    rays = bent.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(size, size, 2)
+
+    def pattern(x, y):
+        waves = [np.sin(9 * x), np.cos(7 * y), np.sin(5 * (x + y))]
+        return np.rint(127 + 120 * np.stack(waves, axis=2)).astype(np.uint8)
+
+    (tmp_path / "images").mkdir()
+    Image.fromarray(pattern(rays[..., 0], rays[..., 1])).save(tmp_path / "images" / "a.png")
+    pose = {"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}
+    other = {
+        **pose,
+        "transform_matrix": np.linalg.inv(
+            np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
+        ).tolist(),
+    }
+    file = tmp_path / "transforms.json"
+    content = {"fl_x": focal, "fl_y": focal, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
+    file.write_text(json.dumps({**content, **lens, "camera_model": "OPENCV", "frames": [pose, other]}))
+    config = TransformsConfig(cloud="random", points=20)
+    scene = transforms_scene(file, tmp_path / "scene", config)
+    camera = read_transforms(file)[0].camera
+    zoom = camera.focal_x / focal
+    assert zoom == 1 if k1 < 0 else 1 < zoom < 1.3, "a picture bent inwards fills its pinhole picture"
+    with Image.open(scene / "images" / "00000.png") as image:
+        straight = np.asarray(image).astype(float)
+    x, y = (u - camera.centre_x) / camera.focal_x, (v - camera.centre_y) / camera.focal_y
+    assert np.abs(straight - pattern(x, y)).max() < 3
+
+
+def test_names_as_others_write_them_masks_and_a_given_cloud(folder, tmp_path, capsys):
+    moved = tmp_path / "my images"
+    moved.mkdir()
+    for index in range(VIEWS):
+        with Image.open(folder / "train" / f"r_{index}.png") as image:
+            image.convert("RGB").save(moved / f"r_{index}.PNG")
+            image.getchannel("A").point(lambda value: 255 * (value > 25)).save(moved / f"mask_{index}.png")
+    spellings = [
+        "my%20images/r_{}.png",
+        "my images\\r_{}.png",
+        "/home/someone/my images/r_{}.jpg",
+        "./my images/R_{}",
+        "../my images/r_{}.png",
+        "my images/gone_{}.png",
+    ]
+    content = json.loads((folder / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        frame["file_path"] = spellings[index % len(spellings)].format(index)
+        frame["mask_path"] = f"my images/mask_{index}.png"
+        frame["transform_matrix"] = frame["transform_matrix"][:3]
+    file = tmp_path / "transforms.json"
+    file.write_bytes(b"\xef\xbb\xbf" + json.dumps(content).encode())
+    assert [view.image.name for view in read_transforms(file)] == [
+        f"r_{index}.PNG" for index in range(VIEWS) if index % 6 != 5
+    ]
+    assert "2 of 14 frames are left out" in capsys.readouterr().err
+    scene = load_scene(transforms_scene(file, tmp_path / "scene", TransformsConfig(points=900)))
+    assert np.linalg.norm(scene.points, axis=1).max() < 2, "the masks are the outlines"
+    rows = "\n".join(f"{i} 1 2" for i in range(9))
+    head = "ply\nformat ascii 1.0\nelement vertex 9\n" + "".join(f"property float {c}\n" for c in "xyz")
+    (tmp_path / "cloud.ply").write_text(f"{head}end_header\n{rows}\n")
+    file.write_text(json.dumps({**content, "ply_file_path": "./cloud.ply"}))
+    scene = load_scene(transforms_scene(file, tmp_path / "with cloud"))
+    assert scene.points.tolist() == [[i, 1, 2] for i in range(9)]
 
 
 def test_images_of_several_sizes(folder, tmp_path):

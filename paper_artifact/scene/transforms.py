@@ -1,26 +1,31 @@
-"""NeRF-style cameras (transforms.json) with images → COLMAP scene; cloud by visual hull, or random.
+"""NeRF-style cameras (transforms.json) with images → COLMAP scene; cloud by visual hull, given, or random.
 
-The format is that of NeRF's synthetic scenes and of instant-ngp: `camera_angle_x` or `fl_x`, `fl_y`, `cx`,
-`cy`; per frame a `file_path` and a 4×4 camera-to-world `transform_matrix` with x right, y up, z backward.
+The format is that of NeRF's synthetic scenes, instant-ngp and nerfstudio: a focal length (`camera_angle_x`,
+`camera_angle_y`, `fl_x`, `fl_y`), `cx`, `cy`, `w`, `h` and a distortion `k1`, `k2`, `k3`, `p1`, `p2`, at the
+root, or in a frame for this frame; per frame a `file_path`, a 4×4 or 3×4 camera-to-world `transform_matrix`
+with x right, y up, z backward, and a `mask_path`; at the root a cloud, `ply_file_path`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageChops
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import inside, load_json, write_json
+from paper_artifact.files import find_file, load_json, write_json
+from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, Intrinsics, Model, Pose, write_model
@@ -28,12 +33,29 @@ from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.hull import hull_cloud, view_box
 from paper_artifact.scene.images import has_transparency, opened, sizes_told
+from paper_artifact.scene.lens import DISTORTION, least_zoom, undistorted
 from paper_artifact.scene.whole import holds, whole_folder
 
 FORMAT = 1  # raised whenever the same file would give another scene
 CLOUDS = ("hull", "random")
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")  # tried after a frame's file_path, in this order
-DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # of camera_model
+# Where one of these is not zero, rays run in a way that is not read.
+OTHER_LENSES = (
+    "is_fisheye",
+    "fisheye",
+    "is_latlong",
+    "latlong",
+    "equirectangular",
+    "is_equirectangular",
+    "orthographic",
+    "ftheta_p0",
+    "rolling_shutter",
+    "k4",
+    "k5",
+    "k6",
+)
+INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
 SHORTEST, LONGEST = 0.01, 1e4  # focal lengths of real cameras, in widths of the image
 RIGHT_ANGLED = 0.1  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
@@ -45,7 +67,9 @@ class TransformsConfig:
 
     size: int = 400  # longest side of the scene's images, pixels; images are never made larger
     views: int | None = None  # as many frames, evenly chosen in the file's order; None: all
-    cloud: str = "hull"  # what the soup starts from: "hull", of the images' transparency, or "random"
+    # What the soup starts from: "hull", the file's own cloud where it names one, else the visual hull of what
+    # is not transparent; or "random".
+    cloud: str = "hull"
     points: int = 40000  # of the cloud
     background: str = "white"  # behind transparent pixels; or "black"
     seed: int = 0  # of the cloud
@@ -64,32 +88,58 @@ class TransformsConfig:
         background_colour(self.background)
 
 
-def read_transforms(file: Path | str, views: int | None = None) -> list[tuple[Path, Camera]]:
-    """Return (image file, camera at the image's full size) of `views` frames of a transforms.json, None: all.
+class View(NamedTuple):
+    """One frame of a transforms.json."""
 
-    Raises InputError for a missing or damaged file, lens distortion, images that are missing, or fewer than
-    two frames.
+    image: Path  # its file
+    camera: Camera  # at the image's full size, without the distortion
+    mask: Path | None  # an image of the same size, white where the picture counts
+    distortion: tuple[float, ...]  # k1, k2, k3, p1, p2; none where all are zero
+    lens: Camera  # of the distorted image
+
+
+def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
+    """Return `views` frames of a transforms.json, evenly chosen, None: all. Frames without image are left
+    out, which a line on stderr says.
+
+    Raises InputError for a missing or damaged file, lenses that are neither pinholes nor OpenCV's, or fewer
+    than two frames with an image.
     """
     file = Path(file)
     try:
         content = load_json(file)
+        if content.get("frames") is None:
+            raise ValueError("it has no frames")
+        root = {name: value for name, value in content.items() if name != "frames"}
         frames = [
-            (str(each["file_path"]), np.array(each["transform_matrix"], np.float64))
+            (str(each["file_path"]), np.array(each["transform_matrix"], np.float64), each)
             for each in content["frames"]
         ]
-        values = {name: float(value) for name, value in content.items() if isinstance(value, (int, float))}
+        found = [(name, matrix, each, _named(file, name, ENDINGS)) for name, matrix, each in frames]
+        missing = [name for name, _, _, path in found if path is None]
+        if len(frames) - len(missing) < 2:
+            raise InputError(
+                f"{file} has {len(frames)} frames, {len(missing)} of them without an image"
+                + (f" ({missing[0]} is not there)" if missing else "")
+                + "; at least 2 are needed, one of them is held out: copy the images too"
+            )
+        if missing:
+            tqdm.write(
+                f"{file}: {len(missing)} of {len(frames)} frames are left out, their images are not there: "
+                + ", ".join(missing[:4])
+                + (" …" if len(missing) > 4 else ""),
+                file=sys.stderr,
+            )
+        kept = [each for each in found if each[3] is not None]
+        if views is not None and views < len(kept):
+            kept = [kept[index] for index in np.linspace(0, len(kept) - 1, views).round().astype(int)]
+        return [_frame(file, name, matrix, root, own, path) for name, matrix, own, path in kept]
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; give a transforms.json") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no transforms.json ({error}); export it again") from error
-    bent = [name for name in DISTORTION if values.get(name)]
-    if bent:
-        raise InputError(f"{file} has lens distortion ({', '.join(bent)}); undistort the images first")
-    if len(frames) < 2:
-        raise InputError(f"{file} has {len(frames)} frames; at least 2 are needed, one of them is held out")
-    if views is not None and views < len(frames):
-        frames = [frames[index] for index in np.linspace(0, len(frames) - 1, views).round().astype(int)]
-    return [_frame(file, name, matrix, values) for name, matrix in frames]
 
 
 def transforms_scene(
@@ -97,34 +147,36 @@ def transforms_scene(
 ) -> Path:
     """Write the COLMAP scene of a transforms.json to `folder` and return the folder.
 
-    Contents: images/00000.png … (RGBA stay so), sparse/0/, scene.json (background, radius of the cloud). All
-    or nothing; a folder that holds this very scene is returned as it is. Raises InputError as
-    `read_transforms` does, for images of several sizes, a hull of opaque images, or a folder that holds
-    anything else.
+    Contents: images/00000.png … (undistorted; RGBA stay so, masks become transparency), sparse/0/, scene.json
+    (background, radius of the cloud). All or nothing; a folder that holds this very scene is returned as it
+    is. Raises InputError as `read_transforms` does, for images of several sizes, a hull of opaque images, or
+    a folder that holds anything else.
     """
     folder, config = Path(folder), config or TransformsConfig()
     frames = read_transforms(file, config.views)
-    sizes = Counter((camera.width, camera.height) for _, camera in frames)
+    given = _given_cloud(Path(file)) if config.cloud == CLOUDS[0] else None
+    sizes = Counter((view.camera.width, view.camera.height) for view in frames)
     if len(sizes) > 1:
         raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; bring them to one size")
-    key = _key(Path(file), frames, config)
+    key = _key(
+        [Path(file), *(view.image for view in frames), *(view.mask for view in frames if view.mask)]
+        + ([given] if given else []),
+        config,
+    )
     if holds(folder, key):
         return folder
     with whole_folder(folder, key) as temporary:
         (temporary / "images").mkdir()
         cameras, masks = [], []
-        for index, (path, camera) in enumerate(
-            tqdm(frames, desc="images", unit="view", disable=not progress)
-        ):
-            with opened(path, path) as read:
-                image = read.convert("RGBA" if has_transparency(read) else "RGB")
+        for index, view in enumerate(tqdm(frames, desc="images", unit="view", disable=not progress)):
+            image = _picture(view)
             image.thumbnail((config.size, config.size), Image.Resampling.LANCZOS)
             image.save(temporary / "images" / f"{index:05d}.png")
-            cameras.append(_resized(camera, *image.size))
+            cameras.append(_resized(view.camera, *image.size))
             alpha = np.asarray(image.getchannel("A")) if image.mode == "RGBA" else None
             masks.append(None if alpha is None else alpha >= OPAQUE)
         try:
-            points = _cloud(cameras, masks, config)
+            points = _cloud(cameras, masks, config) if given is None else _points_of(given)
         except InputError as error:
             raise InputError(f"{file}: {error}") from error
         write_model(_model(cameras, points), temporary / "sparse" / "0")
@@ -140,62 +192,164 @@ def transforms_scene(
     return folder
 
 
-def _frame(file: Path, name: str, matrix: np.ndarray, values: dict[str, float]) -> tuple[Path, Camera]:
-    """Return a frame's image file and its camera; `matrix` is camera → world."""
+def _named(file: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path | None:
+    """Return the file that a transforms.json names: in its own folder, or with '../' in the one above."""
     try:
-        path = next((p for p in (inside(file.parent, name + end) for end in ENDINGS) if p.is_file()), None)
+        found = find_file(file.parent, name, endings)
+        if found is None and name.replace("\\", "/").startswith("../"):
+            found = find_file(file.resolve().parent.parent, name[3:], endings)
+        return found
     except OSError as error:  # a name that no file system takes
         raise InputError(
             f"{file} lists an image that cannot be: {error.strerror}; export it again"
         ) from error
-    if path is None:
-        raise InputError(f"{file} lists the image {name}, which is not there; copy the images too")
+
+
+def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, path: Path) -> View:
+    """Return a frame, its image at `path`; `matrix`: camera → world, `own`: its keys, `root`: the file's."""
+    if matrix.shape == (3, 4):
+        matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
     if matrix.shape != (4, 4) or not np.abs(matrix).max() < FARTHEST:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
     axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
     if np.linalg.det(axes) < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
+    both = root | own
+    lens = str(both.get("camera_model") or "PINHOLE").upper()
+    lens = next(
+        (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
+        None if lens in LENSES else f"camera_model {lens}",
+    )
+    if lens is not None:
+        raise InputError(
+            f"{file}: {name} has {lens}, which is not read; turn the images into those of pinhole cameras "
+            "first (COLMAP's image_undistorter does so for fisheyes)"
+        )
+    mask = None
+    if own.get("mask_path") is not None:
+        mask = _named(file, str(own["mask_path"]))
+        if mask is None:
+            raise InputError(f"{file} names the mask {own['mask_path']}, which is not there; copy it too")
     with opened(path, path) as image:
         width, height = image.size
-    focal_x = values.get("fl_x") or (
-        width / 2 / np.tan(values["camera_angle_x"] / 2) if 0 < values.get("camera_angle_x", 0) < np.pi else 0
-    )
-    if not focal_x > 0:
-        raise InputError(f"{file} has neither camera_angle_x nor fl_x; export it again")
-    scale = width / values["w"] if values.get("w") else 1.0
-    if not values.get("fl_x"):
-        scale = 1.0
+    values = {key: float(both[key]) for key in INTRINSICS if both.get(key) is not None}
+    across = width / values["w"] if values.get("w") else 1.0
+    down = height / values["h"] if values.get("h") else across
+    if values.get("w") and values.get("h") and abs(down / across - 1) > max(0.01, 2 / min(width, height)):
+        raise InputError(
+            f"{file}: {name} has {width}×{height} pixels, and its w and h are {values['w']:g} and "
+            f"{values['h']:g}, another aspect; give the images that the cameras are of"
+        )
+    focal = _focal(
+        {key: float(own[key]) for key in INTRINSICS[:4] if own.get(key) is not None},
+        width,
+        height,
+        across,
+        down,
+    ) or _focal(values, width, height, across, down)
+    if focal is None:
+        raise InputError(
+            f"{file} has no focal length of {name} (fl_x, fl_y, camera_angle_x or camera_angle_y); "
+            "export it again"
+        )
     rotation = np.diag([1.0, -1.0, -1.0]) @ axes.T  # y up, z backward → y down, z forward
     camera = Camera(
         width=width,
         height=height,
-        focal_x=float(focal_x * scale),
-        focal_y=float((values.get("fl_y") or focal_x) * scale),
-        centre_x=float(values["cx"] * scale) if "cx" in values else width / 2,
-        centre_y=float(values["cy"] * scale) if "cy" in values else height / 2,
+        focal_x=focal[0],
+        focal_y=focal[1],
+        centre_x=values["cx"] * across if "cx" in values else width / 2,
+        centre_y=values["cy"] * down if "cy" in values else height / 2,
         quaternion=tuple(map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))),
         translation=tuple(map(float, -rotation @ matrix[:3, 3])),
     )
-    focal, centre = (camera.focal_x, camera.focal_y), (camera.centre_x, camera.centre_y)
+    centre = (camera.centre_x, camera.centre_y)
     if not all(SHORTEST < each / width < LONGEST for each in focal) or not np.abs(centre).max() < LARGEST:
         raise InputError(
             f"{file}: focal lengths {focal[0]:.4g}, {focal[1]:.4g} and centre {centre[0]:.4g}, "
             f"{centre[1]:.4g} are none of a camera of {width} pixels; export it again"
         )
-    return path, camera
+    if "w" not in values and not (0 <= centre[0] <= width and 0 <= centre[1] <= height):
+        raise InputError(
+            f"{file}: the centre cx, cy of {name} lies outside of its {width}×{height} pixels; add w and h, "
+            "the size that it is for"
+        )
+    distortion = tuple(values.get(key, 0.0) for key in DISTORTION)
+    if any(distortion):
+        zoom = least_zoom(camera, distortion)
+        if zoom is None:
+            raise InputError(
+                f"{file}: {name} has a distortion {distortion} that folds its image; undistort the images "
+                "first, as COLMAP's image_undistorter does"
+            )
+        straight = replace(camera, focal_x=camera.focal_x * zoom, focal_y=camera.focal_y * zoom)
+        return View(path, straight, mask, distortion, camera)
+    return View(path, camera, mask, (), camera)
+
+
+def _focal(values: dict[str, float], width: int, height: int, across: float, down: float):
+    """Return the focal lengths (x, y) in pixels that the values state, None where they state none."""
+    x = values.get("fl_x", 0.0) * across or _of_angle(values.get("camera_angle_x"), width)
+    y = values.get("fl_y", 0.0) * down or _of_angle(values.get("camera_angle_y"), height)
+    return (x or y, y or x) if x > 0 or y > 0 else None
+
+
+def _of_angle(angle: float | None, side: int) -> float:
+    return side / 2 / float(np.tan(angle / 2)) if angle is not None and 0 < angle < np.pi else 0.0
+
+
+def _picture(view: View) -> Image.Image:
+    """Return a frame's picture, RGB or RGBA, with its mask, undistorted."""
+    with opened(view.image, view.image) as read:
+        image = read.convert("RGBA" if has_transparency(read) or view.mask is not None else "RGB")
+    if view.mask is not None:
+        with opened(view.mask, view.mask) as read:
+            kept = read.convert("L")
+        if kept.size != image.size:
+            raise InputError(
+                f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; bring them to one size"
+            )
+        image.putalpha(ImageChops.multiply(image.getchannel("A"), kept))
+    return undistorted(image, view.lens, view.camera, view.distortion) if view.distortion else image
+
+
+def _given_cloud(file: Path) -> Path | None:
+    """Return the cloud that a transforms.json names, None where it names none."""
+    name = load_json(file).get("ply_file_path")
+    if not name:
+        return None
+    path = _named(file, str(name))
+    if path is None:
+        raise InputError(
+            f"{file} names the cloud {name}, which is not there; copy it too, or take --cloud random"
+        )
+    tqdm.write(f"{file}: the cloud is that of {path.name}", file=sys.stderr)
+    return path
+
+
+def _points_of(cloud: Path) -> np.ndarray:
+    """Return the points (P,3) float64 of a PLY file, world units."""
+    try:
+        vertex = read_ply_elements(cloud.read_bytes())["vertex"]
+        points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    except (OSError, ValueError, LookupError, AttributeError) as error:
+        raise InputError(f"the cloud {cloud} is damaged or no PLY file ({error}); export it again") from error
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 4 or not np.abs(points).max() < FARTHEST:
+        raise InputError(f"the cloud {cloud} has {len(points)} points that can be used; take --cloud random")
+    return points
 
 
 def _resized(camera: Camera, width: int, height: int) -> Camera:
     across, down = width / camera.width, height / camera.height
-    return Camera(
+    return replace(
+        camera,
         width=width,
         height=height,
         focal_x=camera.focal_x * across,
         focal_y=camera.focal_y * down,
         centre_x=camera.centre_x * across,
         centre_y=camera.centre_y * down,
-        quaternion=camera.quaternion,
-        translation=camera.translation,
     )
 
 
@@ -232,10 +386,8 @@ def _model(cameras: Sequence[Camera], points: np.ndarray) -> Model:
     )
 
 
-def _key(file: Path, frames: Sequence[tuple[Path, Camera]], config: TransformsConfig) -> str:
+def _key(files: Sequence[Path], config: TransformsConfig) -> str:
     """Return the sha256 (hex) of everything that the scene's files depend on."""
-    digests = [
-        hashlib.sha256(each.read_bytes()).hexdigest() for each in (file, *(path for path, _ in frames))
-    ]
+    digests = [hashlib.sha256(each.read_bytes()).hexdigest() for each in files]
     content = {"format": FORMAT, "config": asdict(config), "files": digests}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
