@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable
 
 import pandas as pd
 
+from paper_artifact.catalogue import shape_row
+from paper_artifact.errors import InputError
 from paper_artifact.evaluate.staircase import KEPT, MULTIPLIER, longest, measure
 from paper_artifact.mesh import Mesh
 from paper_artifact.results import published
@@ -148,3 +150,25 @@ def _agreeing(values: pd.Series) -> str:
         return values.iloc[0]
     numbers = values.value_counts().sort_index().sort_values(ascending=False, kind="stable")
     return ", ".join(f"{name} {number}×" for name, number in numbers.items())
+
+
+def bundle_margins(shapes: Iterable[str], seeds: Iterable[int]) -> pd.DataFrame:
+    """Return one row per shape, seed and feature of the catalogue: shape, M, seed, dimension, bar, acts (the
+    loss acts on the dimension), floor (radius / D), margin (lifetime / floor), bundle (the seed is that of the
+    study's bundle), inside (acts, and above the floor).
+
+    Raises InputError for a shape without a row in the catalogue and for a mesh that is not available.
+    """
+    found, seeds = [], tuple(seeds)
+    for shape in shapes:
+        row = shape_row(shape)
+        if row is None:
+            raise InputError(f"the catalogue has no shape {shape!r}; name one of its rows")
+        own = bars(staircase(surface(shape), (row.samples,), seeds, kept=max(row.features)))
+        features = [bar_name(d, rank + 1) for d, count in enumerate(row.features) for rank in range(count)]
+        own = own[own["bar"].isin(features)]
+        acts = own["dimension"].isin(range(3) if row.dimensions is None else row.dimensions)
+        found.append(own.assign(acts=acts, bundle=own["seed"] == row.bundle_seed))
+    table = pd.concat(found, ignore_index=True).rename(columns={"samples": "M"})
+    columns = ["shape", "M", "seed", "dimension", "bar", "acts", "floor", "margin", "bundle"]
+    return table[columns].assign(inside=table["acts"] & (table["margin"] > 1))
