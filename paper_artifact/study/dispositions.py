@@ -5,8 +5,13 @@ the paper says.
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
@@ -79,13 +84,36 @@ def _compared(certificate: Certificate, published: str) -> tuple[str, bool]:
     return "fail: " + "; ".join(certificate.reasons), holds.get(published, False)
 
 
-def disposition_text(rows: list[Disposition]) -> str:
-    """Return the table as text, one line per candidate."""
-    lines = [f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured"]
-    for row in rows:
-        betti = str(row.certificate.betti) if row.certificate else "-"
-        agrees = {True: "yes", False: "NO", None: "-"}[row.agrees]
-        lines.append(
-            f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}{agrees:<8}{row.measured}"
-        )
-    return "\n".join(lines)
+def polygon_counts(path: Path | str) -> tuple[int, int, int] | None:
+    """Return (edges with one polygon, edges with more than two, vertices - edges + polygons) of an OBJ file's
+    own polygons, indexed by position; None when it is no OBJ file or all its faces are triangles."""
+    if Path(path).suffix != ".obj":
+        return None
+    polygons, points, number = [], {}, []
+    for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:  # equal points are one vertex
+            number.append(points.setdefault(tuple(map(float, words[1:4])), len(points)))
+        elif words[:1] == ["f"]:
+            indices = [int(word.split("/")[0]) for word in words[1:]]
+            polygons.append([number[index - 1 if index > 0 else index] for index in indices])
+    if all(len(polygon) == 3 for polygon in polygons):
+        return None
+    pairs = ((a, b) for polygon in polygons for a, b in zip(polygon, [*polygon[1:], polygon[0]], strict=True))
+    edges = Counter((min(pair), max(pair)) for pair in pairs)
+    used = {index for polygon in polygons for index in polygon}
+    return (
+        sum(n == 1 for n in edges.values()),
+        sum(n > 2 for n in edges.values()),
+        len(used) - len(edges) + len(polygons),
+    )
+
+
+def same_certificate(left: dict, right: dict) -> bool:
+    """Return whether two certificates (as JSON) agree, volumes to a relative 1e-9 (a machine's last bits)."""
+    both = deepcopy([left, right])
+    volumes = [[part.pop("volume", None) for part in each.get("components", ())] for each in both]
+    if both[0] != both[1]:
+        return False
+    numbers = [np.array(each, dtype=float) for each in volumes]  # None becomes NaN
+    return np.allclose(*numbers, rtol=1e-9, atol=0, equal_nan=True)
