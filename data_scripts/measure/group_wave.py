@@ -17,4 +17,5 @@ if __name__ == "__main__":
     tables = []
     for shape in dict.fromkeys([*candidates, *groups]):  # at M = 2048 counts can depend on the seed
         tables += [staircases([shape], DENSITIES[:1], range(40)), staircases([shape], DENSITIES[1:], SEEDS)]
-    pd.concat(tables).to_csv(MEASURED / "group_wave.csv", index=False, float_format="%.6g", lineterminator="\n")
+    table = pd.concat(tables)
+    table.to_csv(MEASURED / "group_wave.csv", index=False, float_format="%.6g", lineterminator="\n")
