@@ -154,8 +154,8 @@ def _agreeing(values: pd.Series) -> str:
 
 def bundle_margins(shapes: Iterable[str], seeds: Iterable[int]) -> pd.DataFrame:
     """Return one row per shape, seed and feature of the catalogue: shape, M, seed, dimension, bar, acts (the
-    loss acts on the dimension), floor (radius / D), margin (lifetime / floor), bundle (the seed is that of the
-    study's bundle), inside (acts, and above the floor).
+    loss acts on the dimension), floor (radius / D), margin (lifetime / floor), bundle (the seed is that of
+    the study's bundle), inside (acts, and above the floor).
 
     Raises InputError for a shape without a row in the catalogue and for a mesh that is not available.
     """

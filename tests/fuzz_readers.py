@@ -177,9 +177,7 @@ def _meshes(folder: Path) -> dict[str, Sample]:
 
 
 def _texts(folder: Path) -> dict[str, Sample]:
-    from paper_artifact.files import write_json
     from paper_artifact.record.store import make_record, read_record, write_record
-    from paper_artifact.report.group_wave import plan
     from paper_artifact.topology.bundle import Bundle, load_bundle
     from tests.tiny_run import tiny_config
 
@@ -191,12 +189,10 @@ def _texts(folder: Path) -> dict[str, Sample]:
     reasons = ("none", "two", "none")
     bundle = Bundle(bars, (1,), reasons, 512, 0, 0.05, 6.0, 2.0, "torus", "sha256:0")
     bundle.save(folder / "bundle.json")
-    write_json(folder / "plan.json", {"pool": ["a", "b"], "members": {"bob": {"samples": 2048}}})
     texts = (mutate_bytes, mutate_json, mutate_json)
     return {
         "record": Sample(record, partial(read_record, record), texts),
         "bundle": Sample(folder / "bundle.json", partial(load_bundle, folder / "bundle.json"), texts),
-        "plan": Sample(folder / "plan.json", partial(plan, folder / "plan.json"), texts),
     }
 
 

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import kstest
 
 from paper_artifact.errors import InputError
-from paper_artifact.report import probes as report
 from paper_artifact.study import blindness as probes
 
 
@@ -63,12 +62,3 @@ def test_chamfer_is_equal_and_the_bottleneck_tells(name):
 def test_unknown_case():
     with pytest.raises(InputError, match="unknown blindness probe"):
         probes.make_probe("bump")
-
-
-def test_tables_and_picture():
-    measured = report.measure((0,), 6000)
-    table = report.reading_table(measured)
-    assert list(table.index) == [(name, 0) for name in probes.CASES]
-    beside = report.table_s1(table)
-    assert beside.loc["paper's Chamfer %"].tolist() == ["0.916", "0.628", "0.977"]
-    assert len(report.picture(measured, 0).axes) == 12
