@@ -6,18 +6,22 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS, write_text
+from paper_artifact.files import REPOSITORY, RESULTS, write_text
 
 MEASURED = RESULTS / "measured"
 
 
-MEASUREMENTS = {  # name: (function that makes it, in the report's module of that name; what it measures)
+# name: (function of the report's module of that name, "" where data_scripts/measure has the script; what it
+# measures)
+MEASUREMENTS = {
     "staircase": (
         "measure_analytic_shapes",
         "significant bars and floors of the analytic shapes, M = 512 … 20000, five seeds",
@@ -52,6 +56,14 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "measure_photographs",
         "the mug of data_scripts/mug from its photographs, C0 and T1, against its true surface (pycolmap)",
     ),
+    "dirty": (
+        "",
+        "bars that noise, outliers and gaps bear in SfM clouds, and what cleaning does to them",
+    ),
+    "words_cost": (
+        "",
+        "CPU time of a refresh and a step of C1, T1 and T2 on committed soups, M = 2048 and 8192",
+    ),
     "peers": (
         "measure_peers",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
@@ -61,11 +73,11 @@ MEASUREMENTS = {  # name: (function that makes it, in the report's module of tha
         "time until clouds have Betti numbers in words, beside oineus.diff, torch-topological, TopologyLayer",
     ),
     "solids": (
-        "measure_solids",
+        "",
         "solids of the final soups by offset (--soups DIR, else trains what is missing): topology, Chamfer",
     ),
     "solid_peers": (
-        "measure_solid_peers",
+        "",
         "voxels with marching cubes, and Poisson (pymeshlab), on the soups in --soups DIR",
     ),
 }
@@ -91,10 +103,14 @@ def write(
             if name in OF_SOUPS
             else f"{name} takes no --soups; {' and '.join(OF_SOUPS)} do"
         )
+    if not MEASUREMENTS[name][0]:
+        script = REPOSITORY / "data_scripts" / "measure" / f"{name}.py"
+        options = ["--out", str(folder), *(["--soups", str(soups)] if soups else [])]
+        subprocess.run([sys.executable, str(script), *options], check=True)
+        return Path(folder) / f"{name}.csv"
     module = importlib.import_module(f"paper_artifact.report.{name}")  # only what measures is loaded
     path = Path(folder) / f"{name}.csv"
-    options = {"soups": soups, "path": path} if name in OF_SOUPS else {}
-    table = getattr(module, MEASUREMENTS[name][0])(progress=progress, **options)
+    table = getattr(module, MEASUREMENTS[name][0])(progress=progress)
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     return path
 
