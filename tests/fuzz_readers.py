@@ -124,7 +124,7 @@ def _pictures(folder: Path) -> dict[str, Sample]:
 
     def photos() -> None:
         with tempfile.TemporaryDirectory() as work:
-            prepared(photographs_in(photographs), Path(work) / "pictures", 64, False)
+            prepared(photographs_in(photographs), Path(work) / "pictures", Path(work) / "masks", 64, False)
 
     for name in ("a.jpg", "b.png", "c.tif", "d.webp", "e.bmp"):
         png = (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)

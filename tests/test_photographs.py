@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -18,7 +20,7 @@ from paper_artifact.files import REPOSITORY
 from paper_artifact.photos.exposure import even_out, fitted_exposures, to_shown
 from paper_artifact.photos.prepare import photographs_in, prepared, size_doubts
 from paper_artifact.photos.register import Registered
-from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright
+from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright, useless
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import fibonacci_cameras
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model
@@ -76,6 +78,7 @@ def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys
     facts = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert np.allclose(facts["background"], 0.72, atol=0.1)  # the grey room
     assert centres_off(scene) < 0.03  # the cameras stand as they truly stood
+    assert b"Processing block" in (tmp_path / "scene" / "colmap.log").read_bytes() and "I2" not in told.err
     assert main(words) == 0 and "8 photographs registered" in capsys.readouterr().out  # not made again
     assert main([*words, "--features", "500"]) == 1 and "holds a scene of other" in capsys.readouterr().err
 
@@ -132,7 +135,7 @@ def test_photographs_are_turned_to_one_format_and_up_is_known(tmp_path):
         for kind, shown in (("level", picture), ("tall", np.pad(picture[:, :24], ((0, 4), (0, 0), (0, 0))))):
             Image.fromarray(np.rot90(shown, turn)).save(tmp_path / "in" / f"{kind}{tag}.png", exif=exif)
     Image.fromarray(picture).save(tmp_path / "in" / "plain.png")
-    ready = prepared(photographs_in(tmp_path / "in"), tmp_path / "out", 100, False)
+    ready = prepared(photographs_in(tmp_path / "in"), tmp_path / "out", tmp_path / "masks", 100, False)
     assert sum(ready.groups, []) and ready.sizes == {(40, 30): 5, (34, 24): 4}
     assert {len(group) for group in ready.groups} == {5, 4}
     for name, (x, y) in ready.up.items():
@@ -142,6 +145,69 @@ def test_photographs_are_turned_to_one_format_and_up_is_known(tmp_path):
         row, column = (np.average(index, weights=light) for index in np.indices(light.shape))
         towards = np.array([column / light.shape[1], row / light.shape[0]]) - 0.5
         assert towards @ (x, y) > 0.2 and abs(towards @ (y, -x)) < 0.05, name
+
+
+def test_cut_outs_in_sub_folders_keep_their_masks(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    for index in range(30, 38):
+        folder = tmp_path / "photos" / ("upper" if index % 2 else ".") / f"ring_{index % 2}"
+        folder.mkdir(parents=True, exist_ok=True)
+        with Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as picture:
+            alpha = Image.new("L", picture.size, 255)
+            alpha.paste(0, (0, 0, picture.width, picture.height // 5))
+            if index != 30:
+                picture.putalpha(alpha)
+            picture.save(folder / f"mug_{index}.png")
+    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200"]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "8 photographs registered" in told.out and "matching" in told.err and "mapping" in told.err
+    scene = load_scene(tmp_path / "scene")
+    assert scene.names[0] == "ring_0_mug_30.jpg" and scene.names[4] == "upper_ring_1_mug_31.jpg"
+    assert (scene.background == 1).all()
+    above = scene.images[:, :, : scene.images.shape[2] // 6]
+    assert (above[1:] > 250).all() and above[0].min() < 250 and scene.images.min() < 100
+
+
+def test_all_files_that_are_no_photographs_are_named_at_once(tmp_path, capsys):
+    folder = noise(tmp_path / "n", 3)
+    (folder / "text.jpg").write_text("no picture")
+    whole = (folder / "0.jpg").read_bytes()
+    (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    assert main(["photos", str(folder), "--out", str(tmp_path / "s"), "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert "2 of 5 files are no photographs" in told and "text.jpg is no image of the kinds PNG" in told
+    assert "cut.jpg is damaged" in told and len(told.splitlines()) == 1
+
+
+def test_large_tags_are_dropped_and_the_camera_is_kept(tmp_path):
+    (tmp_path / "in").mkdir()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Model] = "M" * 70_000
+    exif[ExifTags.Base.ImageDescription] = "x" * 70_000
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.25
+    picture = Image.fromarray(stream(0, "noise").integers(0, 256, (48, 64, 3), np.uint8))
+    picture.save(tmp_path / "in" / "a.png", exif=exif)
+    picture.save(tmp_path / "in" / "b.tif", tiffinfo={65000: "p" * 200_000, 272: "Camera"})
+    Image.new("RGB", (64, 48), (9, 9, 9)).save(tmp_path / "in" / "c.png")
+    ready = prepared(photographs_in(tmp_path / "in"), tmp_path / "out", tmp_path / "masks", 100, False)
+    assert sorted(map(tuple, ready.groups)) == [("a.jpg",), ("b.jpg",), ("c.jpg",)]
+    with Image.open(tmp_path / "out" / "a.jpg") as kept:
+        tags = kept.getexif()
+        assert tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] == 4.25
+        assert tags[ExifTags.Base.Model] == "M" * 100 and ExifTags.Base.ImageDescription not in tags
+    assert useless(ready.blank, {"a": "1", "b": "2", "c": "1"}) == [
+        "c.jpg is of a single colour and shows nothing; leave it out",
+        "c and a are the same photograph; leave one out",
+    ]
+
+
+def test_a_terminated_registration_prints_no_stack(tmp_path):
+    pytest.importorskip("pycolmap")
+    code = "import os\nfrom paper_artifact.photos.register import need_pycolmap\nneed_pycolmap()\n"
+    code += "os.kill(os.getpid(), 15)"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=REPOSITORY)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, b"")
 
 
 def test_sizes_that_have_little_in_common_are_told():
@@ -184,7 +250,7 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
 
 def test_doubts_are_told():
     names = [f"{index}.jpg" for index in range(9)]
-    good = Registered(MUG, tuple(names), 4000, 0.5, 5.0, {})
+    good = Registered(MUG, MUG, tuple(names), 4000, 0.5, 5.0, {})
     assert doubts(good, names) == []
     told = doubts(good._replace(names=tuple(names[:2]), points=20, error=2.0), names)
     assert [line.split(" ")[0] for line in told] == ["2", "the", "the"] and "5.jpg, 6.jpg …" in told[0]

@@ -7,9 +7,8 @@ about.
 
 from __future__ import annotations
 
-import io
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,24 +17,47 @@ from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.photos.register import LEAST
-from paper_artifact.scene.images import opened, sizes_told
+from paper_artifact.scene.images import has_transparency, opened, sizes_told
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 QUALITY = 95  # of JPEG files written between photograph and scene
 LEAST_KEPT = 0.5  # part of the most frequent size's pixels that the common size must have, or it is told
+BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
+LENS_TAGS = (
+    ExifTags.Base.FocalLength,
+    ExifTags.Base.FocalLengthIn35mmFilm,
+    ExifTags.Base.FocalPlaneXResolution,
+    ExifTags.Base.FocalPlaneYResolution,
+    ExifTags.Base.FocalPlaneResolutionUnit,
+    ExifTags.Base.ExifImageWidth,
+    ExifTags.Base.ExifImageHeight,
+)
 LEVEL = (0.0, -1.0)  # where up is in a picture that stands right: x to the right, y down
 UP = {3: (0.0, 1.0), 4: (0.0, 1.0), 5: (-1.0, 0.0), 6: (-1.0, 0.0), 7: (1.0, 0.0), 8: (1.0, 0.0)}
 """Where up is in the stored picture, by EXIF orientation; the others are LEVEL."""
 
 
-def photographs_in(folder: Path | str) -> tuple[Path, ...]:
-    """Return the pictures in a folder, by name. Raises InputError for no folder or fewer than three
-    pictures."""
+def photographs_in(folder: Path | str) -> dict[str, Path]:
+    """Return the pictures in a folder and its sub-folders, by name: "stem", or "sub-folder_stem".
+
+    What is hidden is left out. Raises InputError for no folder, fewer than three pictures, and pictures whose
+    names differ by their ending alone.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"no folder at {folder}; give the folder that holds the photographs")
-    files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
-    photographs = tuple(each for each in files if each.suffix.lower() in ENDINGS)
+    files = [
+        each
+        for each in sorted(folder.rglob("*"))
+        if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
+    ]
+    photographs: dict[str, Path] = {}
+    for each in files:
+        if each.suffix.lower() in ENDINGS:
+            name = "_".join(each.relative_to(folder).with_suffix("").parts)
+            if name in photographs:
+                raise InputError(f"{folder} has two photographs called {name}; give each a different name")
+            photographs[name] = each
     if len(photographs) < LEAST:
         others = sorted({each.suffix.lower() for each in files} - {*ENDINGS, ""})
         seen = f" (it also has {', '.join(others)}: convert them to JPEG)" if others else ""
@@ -43,10 +65,6 @@ def photographs_in(folder: Path | str) -> tuple[Path, ...]:
             f"{folder} has {len(photographs)} photographs of the kinds {' '.join(ENDINGS)}{seen}; "
             f"at least {LEAST} are needed, 20 to 100 are good"
         )
-    stems = [each.stem for each in photographs]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-    if twice:
-        raise InputError(f"{folder} has two photographs called {twice[0]}; give each a name of its own")
     return photographs
 
 
@@ -56,45 +74,79 @@ class Prepared(NamedTuple):
     groups: list[list[str]]  # file names by camera
     up: dict[str, tuple[float, float]]  # by file name, see `upright`
     sizes: Counter[tuple[int, int]]  # photographs by (width, height) as they are, pixels; turned ones turned
+    masked: set[str]  # file names of those with transparent parts
+    blank: list[str]  # file names of those of a single colour
 
 
-def prepared(photographs: Sequence[Path], folder: Path, size: int, progress: bool) -> Prepared:
+def prepared(
+    photographs: Mapping[str, Path], folder: Path, masks: Path, size: int, progress: bool
+) -> Prepared:
     """Write the photographs as JPEG of at most `size` pixels a side to `folder`; return what they are.
 
     All become level, or upright where more are that: the others are turned by a quarter. Photographs of one
-    size, camera and focal length (EXIF) are of one camera. Raises InputError for what is no photograph.
+    size, camera and focal length (EXIF) are of one camera. The opacity of one with transparent parts is
+    written to masks/NAME.jpg.png. Raises InputError that names all files which are no photographs.
     """
     folder.mkdir(parents=True)
-    shapes = []
-    for file in photographs:
-        with opened(file, file) as read:
-            shapes.append(read.size)
-    level = sum(width > height for width, height in shapes)
-    tall = sum(width < height for width, height in shapes) > level
+    masks.mkdir(parents=True)
+    shapes, faults = {}, []
+    for name, file in photographs.items():
+        try:
+            with opened(file, file) as read:
+                shapes[name] = read.size
+        except InputError as error:
+            faults.append(str(error))
+    level = sum(width > height for width, height in shapes.values())
+    tall = sum(width < height for width, height in shapes.values()) > level
     cameras: dict[tuple, list[str]] = defaultdict(list)
-    ready = Prepared([], {}, Counter())
-    for file, shape in zip(
-        tqdm(photographs, desc="reading", unit="photo", disable=not progress), shapes, strict=True
-    ):
+    ready = Prepared([], {}, Counter(), set(), [])
+    for name, shape in tqdm(shapes.items(), desc="reading", unit="photo", disable=not progress):
         turned = shape[0] > shape[1] if tall else shape[0] < shape[1]
-        with opened(file, file) as read:
-            exif = read.getexif()
-            own = exif.get_ifd(ExifTags.IFD.Exif)
-            x, y = UP.get(exif.pop(ExifTags.Base.Orientation, 1), LEVEL)
-            read.draft("RGB", (size, size))
-            picture = read.convert("RGB")
-            picture.thumbnail((size, size), Image.Resampling.LANCZOS)
-            if turned:
-                picture, x, y = picture.transpose(Image.Transpose.ROTATE_90), y, -x  # counter-clockwise
-            picture.save(content := io.BytesIO(), "JPEG", quality=QUALITY, subsampling=0, exif=exif)
-        target = folder / f"{file.stem}.jpg"
-        target.write_bytes(content.getvalue())
-        focal = str(own.get(ExifTags.Base.FocalLength))
+        target = folder / f"{name}.jpg"
+        try:
+            with opened(photographs[name], photographs[name]) as read:
+                exif, orientation = _camera_tags(read)
+                x, y = UP.get(orientation, LEVEL)
+                read.draft("RGB", (size, size))
+                picture = read.convert("RGBA" if has_transparency(read) else "RGB")
+        except InputError as error:
+            faults.append(str(error))
+            continue
+        picture.thumbnail((size, size), Image.Resampling.LANCZOS)
+        if turned:
+            picture, x, y = picture.transpose(Image.Transpose.ROTATE_90), y, -x  # counter-clockwise
+        if picture.mode == "RGBA" and picture.getextrema()[3][0] < 255:
+            picture.getchannel("A").save(masks / f"{target.name}.png")
+            ready.masked.add(target.name)
+        picture = picture.convert("RGB")
+        picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
+        if all(high - low < BLANK for low, high in picture.getextrema()):
+            ready.blank.append(target.name)
+        focal = str(exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLength))
         cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)
         ready.up[target.name] = (x, y)
         ready.sizes[shape[::-1] if turned else shape] += 1
+    if faults:
+        count = f"{len(faults)} of {len(photographs)} files are no photographs: " if len(faults) > 1 else ""
+        raise InputError(count + "; ".join(faults))
     ready.groups.extend(cameras.values())
     return ready
+
+
+def _camera_tags(picture: Image.Image) -> tuple[Image.Exif, int]:
+    """Return the EXIF tags that say which camera it was (a JPEG file holds 64 KiB of them), and the
+    orientation (1: as it stands)."""
+    try:
+        exif = picture.getexif()
+        own = exif.get_ifd(ExifTags.IFD.Exif)
+    except Exception:  # PIL raises many kinds for damaged tags, without which a photograph is still one
+        return Image.Exif(), 1
+    kept = Image.Exif()
+    for tag in (ExifTags.Base.Make, ExifTags.Base.Model):
+        if isinstance(exif.get(tag), str):
+            kept[tag] = exif[tag][:100]
+    kept.get_ifd(ExifTags.IFD.Exif).update({tag: own[tag] for tag in LENS_TAGS if tag in own})
+    return kept, exif.get(ExifTags.Base.Orientation, 1)
 
 
 def size_doubts(sizes: Mapping[tuple[int, int], int], size: int) -> list[str]:

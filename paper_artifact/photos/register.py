@@ -6,10 +6,11 @@ pycolmap is COLMAP itself as a Python package (Schönberger and Frahm, "Structur
 
 from __future__ import annotations
 
-import sqlite3
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+import re
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from paper_artifact.photos.exposure import relative_exposures
 
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 SEED = 0  # of COLMAP's RANSACs, which take a new one each time otherwise
+BLOCK = re.compile(rb"Processing block \[")  # in pycolmap's log, once for each block of pairs
 HINTS = (
     "take more photographs, each overlapping its neighbours by two thirds, in steps of at most 15 degrees; "
     "keep sharp ones of a scene that does not move, with texture on or around the object (a patterned "
@@ -31,6 +33,7 @@ class Registered(NamedTuple):
     """What structure from motion found; the undistorted pictures and the model lie in `folder`."""
 
     folder: Path  # holds images/ and sparse/ with cameras, images, points3D
+    model: Path  # of pycolmap, with distortion
     names: tuple[str, ...]  # of the registered pictures
     points: int  # of the sparse cloud
     error: float  # mean reprojection error, pixels of the undistorted pictures' originals
@@ -39,7 +42,8 @@ class Registered(NamedTuple):
 
 
 def need_pycolmap() -> Any:
-    """Return the module pycolmap, made quiet. Raises InputError where it is not installed."""
+    """Return the module pycolmap. SIGTERM ends the process as before, without a C++ stack. Raises InputError
+    where it is not installed."""
     try:
         import pycolmap
     except ImportError as error:
@@ -47,20 +51,33 @@ def need_pycolmap() -> Any:
             "registering photographs needs pycolmap, which is not installed here; "
             "`pip install pycolmap` or `pip install '.[photos]'`"
         ) from error
-    pycolmap.logging.minloglevel = 3  # its remarks are not for this command's user
+    with suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM) or signal.SIG_DFL)
     return pycolmap
 
 
+def log_to(start: Path | None) -> None:
+    """Send pycolmap's own lines to a file whose path begins with `start`, those of a fatal error to stderr
+    too; None: nowhere."""
+    log = need_pycolmap().logging
+    log.logtostderr, log.alsologtostderr, log.minloglevel = False, False, 0 if start else 3
+    log.stderrthreshold = log.FATAL.value
+    for level in (log.INFO, log.WARNING, log.ERROR, log.FATAL):
+        log.set_log_destination(level, "" if start is None or level != log.INFO else str(start))
+
+
 def register(
-    pictures: Path, groups: Sequence[Sequence[str]], work: Path, size: int, progress: bool = False
+    pictures: Path, groups: Sequence[Sequence[str]], masks: Path, work: Path, size: int, progress: bool
 ) -> Registered:
     """Register the pictures in the folder `pictures` and write the undistorted ones under `work`.
 
     groups: file names, those of one camera (intrinsics are shared) in one group. size: longest side of an
     undistorted picture, pixels. SIFT features, exhaustive matching, incremental mapping with COLMAP's own
     settings, camera model SIMPLE_RADIAL; of several models the largest. Every random choice is seeded.
-    progress shows a bar per stage. Raises InputError when fewer than `LEAST` pictures register, or pycolmap
-    is missing.
+    masks: a folder with NAME.png, black where the picture NAME does not count, for some of the pictures.
+    progress shows a bar per stage. pycolmap's lines go to work/log…; its database is opened by pycolmap alone
+    (two copies of SQLite in one process damage it). Raises InputError when fewer than `LEAST` pictures
+    register, or pycolmap is missing.
     """
     colmap = need_pycolmap()
     names = [name for group in groups for name in group]
@@ -71,42 +88,56 @@ def register(
             database, pictures, camera_mode=colmap.CameraMode.SINGLE, image_names=list(group)
         )
     for name in tqdm(names, desc="features", unit="photo", disable=not progress):
-        colmap.extract_features(database, pictures, image_names=[name])
-    pairs = len(names) * (len(names) - 1) // 2
-    with _watched("matching", "pair", pairs, lambda: _rows(database, "matches"), progress):
-        verification = colmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = SEED
-        colmap.match_exhaustive(database, verification_options=verification)
+        reading = colmap.ImageReaderOptions()
+        reading.mask_path = masks if (masks / f"{name}.png").is_file() else ""
+        colmap.extract_features(database, pictures, image_names=[name], reader_options=reading)
+    verification = colmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = SEED
+    blocks = -(-len(names) // colmap.ExhaustivePairingOptions().block_size) ** 2
+    _stage(
+        ("matching", "block", blocks),
+        lambda token: colmap.match_exhaustive(
+            database, verification_options=verification, cancellation_token=token
+        ),
+        lambda: sum(len(BLOCK.findall(file.read_bytes())) for file in work.glob("log*")) - 1,
+        progress,
+    )
     options = colmap.IncrementalPipelineOptions()
     options.min_model_size = LEAST
     for seeded in (options, options.mapper, options.triangulation):
         seeded.random_seed = SEED
     for summed in (options, options.mapper):  # threads add up in an order of their own; the time is the same
         summed.num_threads = 1
-    with tqdm(total=len(names), desc="mapping", unit="photo", disable=not progress) as bar:
-        found = colmap.incremental_mapping(
+    seen = 0
+
+    def count(more: int) -> None:
+        nonlocal seen
+        seen += more
+
+    found = _stage(
+        ("mapping", "photo", len(names)),
+        lambda token: colmap.incremental_mapping(
             database,
             pictures,
             work / "models",
             options=options,
-            initial_image_pair_callback=lambda: bar.update(2),
-            next_image_callback=bar.update,
-        )
+            initial_image_pair_callback=lambda: count(2),
+            next_image_callback=lambda: count(1),
+            cancellation_token=token,
+        ),
+        lambda: seen,
+        progress,
+    )
     best = max(found, key=lambda index: found[index].num_reg_images(), default=None)
     if best is None or found[best].num_reg_images() < LEAST:
         count = 0 if best is None else found[best].num_reg_images()
         raise InputError(f"{count} of {len(names)} photographs register with one another; {HINTS}")
     model = found[best]
-    undistortion = colmap.UndistortCameraOptions()
-    undistortion.max_image_size = size
     out = work / "undistorted"
-    count = model.num_reg_images()
-    with _watched("undistorting", "photo", count, lambda: _files(out / "images"), progress):
-        colmap.undistort_images(
-            out, work / "models" / str(best), pictures, undistort_options=undistortion, jpeg_quality=95
-        )
+    undistort(pictures, work / "models" / str(best), out, size, model.num_reg_images(), progress)
     return Registered(
         out,
+        work / "models" / str(best),
         tuple(sorted(image.name for image in model.images.values() if image.has_pose)),
         model.num_points3D(),
         model.compute_mean_reprojection_error(),
@@ -115,36 +146,39 @@ def register(
     )
 
 
-@contextmanager
-def _watched(what: str, unit: str, total: int, count: Callable[[], int], progress: bool) -> Iterator[None]:
-    """Show a bar that follows `count` twice a second while the block, one call of compiled code, runs."""
-    done = threading.Event()
-    with tqdm(total=total, desc=what, unit=unit, disable=not progress) as bar:
+def undistort(pictures: Path, model: Path, out: Path, size: int, count: int, progress: bool) -> None:
+    """Write the `count` registered pictures of a pycolmap model without distortion to out/images, and their
+    model; size: longest side, pixels."""
+    colmap = need_pycolmap()
+    options = colmap.UndistortCameraOptions()
+    options.max_image_size = size
+    _stage(
+        ("undistorting", "photo", count),
+        lambda token: colmap.undistort_images(
+            out, model, pictures, undistort_options=options, jpeg_quality=95, cancellation_token=token
+        ),
+        lambda: len(list((out / "images").glob("*"))),
+        progress,
+    )
 
-        def follow() -> None:
-            while not done.wait(0.5):
-                bar.update(count() - bar.n)
 
-        watcher = threading.Thread(target=follow, daemon=True)
-        if progress:
-            watcher.start()
+def _stage(
+    title: tuple[str, str, int], call: Callable[[Any], Any], count: Callable[[], int], progress: bool
+) -> Any:
+    """Return what `call`, given a cancellation token, returns from compiled code in a thread of its own.
+
+    This thread shows a bar (title: what, unit, total) that follows `count`, and cancels the call on Ctrl-C.
+    """
+    token = need_pycolmap().CancellationToken()
+    what, unit, total = title
+    with ThreadPoolExecutor(1) as pool, tqdm(total=total, desc=what, unit=unit, disable=not progress) as bar:
+        running = pool.submit(call, token)
         try:
-            yield
-        finally:
-            done.set()
-            if progress:
-                watcher.join()
+            while wait([running], 0.5).not_done:
+                bar.update(min(total, count()) - bar.n)
+            result = running.result()
+        except BaseException:
+            token.cancel()
+            raise
         bar.update(total - bar.n)
-
-
-def _rows(database: Path, table: str) -> int:
-    """Return how many rows the table has; 0 while it is locked."""
-    try:
-        with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=0.1)) as connection:
-            return int(connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
-    except sqlite3.Error:
-        return 0
-
-
-def _files(folder: Path) -> int:
-    return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
+    return result

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -23,14 +23,14 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
 from paper_artifact.photos.exposure import even_out
 from paper_artifact.photos.prepare import LEVEL, QUALITY, photographs_in, prepared, size_doubts
-from paper_artifact.photos.register import HINTS, Registered, need_pycolmap, register
+from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.holdout import AUTO
 from paper_artifact.scene.whole import holds, whole_folder
 
-FORMAT = 2  # raised whenever the same photographs would give another scene
+FORMAT = 3  # raised whenever the same photographs would give another scene
 LARGEST_ERROR = 1.5  # pixels of reprojection above which a model is doubtful
 FEWEST_POINTS = 300  # of the cloud, below which a model is doubtful
 CROPPED_ALONE = 0.9  # a picture that would be scaled by more than this is cropped only, which blurs nothing
@@ -67,28 +67,36 @@ def photographs_scene(
     """
     folder, config = Path(folder), config or PhotosConfig()
     photographs = photographs_in(source)
-    key = _key(photographs, config)
+    digests = {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in photographs.items()}
+    content = {"format": FORMAT, "config": asdict(config), "photographs": digests}
+    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     if holds(folder, key):
         held = load_json(folder / DESCRIPTION)["photographs"]
-        return Registered(folder, **{**held, "names": tuple(held["names"])})
+        return Registered(folder, folder, **{**held, "names": tuple(held["names"])})
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
-        work = temporary / "work"
-        ready = prepared(photographs, work / "pictures", config.features, progress)
-        for doubt in size_doubts(ready.sizes, config.size):
+        (work := temporary / "work").mkdir()
+        log_to(work / "log")
+        ready = prepared(photographs, work / "pictures", work / "masks", config.features, progress)
+        for doubt in [*size_doubts(ready.sizes, config.size), *useless(ready.blank, digests)]:
             tell(doubt)
-        found = register(work / "pictures", ready.groups, work, config.size, progress)
-        for doubt in doubts(found, [each.stem + ".jpg" for each in photographs]):
+        found = register(work / "pictures", ready.groups, work / "masks", work, config.size, progress)
+        for doubt in doubts(found, [f"{name}.jpg" for name in photographs]):
             tell(doubt)
-        model = upright(read_model(found.folder / "sparse"), ready.up)
-        (temporary / "images").mkdir()
-        model = _of_one_size(model, found.folder / "images", temporary / "images")
+        distorted = upright(read_model(found.folder / "sparse"), ready.up)
+        model = _of_one_size(distorted, found.folder / "images", temporary / "images")
         if config.even:
             even_out(temporary / "images", found.exposures)
+        if ready.masked:
+            masks = _undistorted_masks(ready.masked, found, work, config.size, progress)
+            _of_one_size(distorted, masks, temporary / "masks")
         write_model(model, temporary / "sparse" / "0")
+        log_to(None)
+        with open(temporary / "colmap.log", "wb") as log:
+            log.writelines(file.read_bytes() for file in sorted(work.glob("log*")))
         shutil.rmtree(work)
         low, high = np.percentile(model.positions, [1, 99], axis=0)
-        facts = {name: value for name, value in found._asdict().items() if name != "folder"}
+        facts = {name: value for name, value in found._asdict().items() if name not in ("folder", "model")}
         description = {
             "format": FORMAT,
             "package": __version__,
@@ -96,7 +104,7 @@ def photographs_scene(
             "key": key,
             "config": asdict(config),
             "holdout": AUTO,
-            "background": empty_colour(model, temporary / "images"),
+            "background": [1.0] * 3 if ready.masked else empty_colour(model, temporary / "images"),
             "radius": float(np.linalg.norm(high - low)) / 2,
             "photographs": facts,
         }
@@ -151,19 +159,42 @@ def _rotation(quaternion: tuple[float, ...]) -> Rotation:
     return Rotation.from_quat(quaternion, scalar_first=True)
 
 
-def _key(photographs: Sequence[Path], config: PhotosConfig) -> str:
-    """Return the sha256 (hex) of what the scene depends on; pycolmap's version is told, not asked for."""
-    digests = [(each.name, hashlib.sha256(each.read_bytes()).hexdigest()) for each in photographs]
-    content = {"format": FORMAT, "config": asdict(config), "photographs": digests}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def useless(blank: Sequence[str], digests: Mapping[str, str]) -> list[str]:
+    """Return what speaks against single photographs, one sentence each; blank: names of those of one colour;
+    digests: of all files, by name."""
+    result = [f"{name} is of a single colour and shows nothing; leave it out" for name in blank]
+    first: dict[str, str] = {}
+    for name, digest in digests.items():
+        if first.setdefault(digest, name) != name:
+            result.append(f"{name} and {first[digest]} are the same photograph; leave one out")
+    return result
+
+
+def _undistorted_masks(
+    masked: Collection[str], found: Registered, work: Path, size: int, progress: bool
+) -> Path:
+    """Return a folder of grey pictures named as the registered ones: how opaque each is, without
+    distortion."""
+    (opacity := work / "opacity").mkdir()
+    for name in found.names:
+        with Image.open(work / "pictures" / name) as picture:
+            grey = Image.new("L", picture.size, 255)
+        if name in masked:
+            with Image.open(work / "masks" / f"{name}.png") as mask:
+                grey.paste(mask)
+        grey.save(opacity / name, quality=QUALITY)
+    out = work / "undistorted_masks"
+    undistort(opacity, found.model, out, size, len(found.names), progress)
+    return out / "images"
 
 
 def _of_one_size(model: Model, source: Path, target: Path) -> Model:
-    """Write the model's pictures to `target`, all of the smallest width and height among them.
+    """Write the model's pictures to the new folder `target`, all of the smallest width and height among them.
 
     Each is scaled down to cover that, unless hardly, and cropped about its middle. Returns the model with
     cameras that fit.
     """
+    target.mkdir(exist_ok=True)
     width = min(camera.width for camera in model.cameras.values())
     height = min(camera.height for camera in model.cameras.values())
     cameras, boxes = {}, {}
@@ -184,7 +215,8 @@ def _of_one_size(model: Model, source: Path, target: Path) -> Model:
             shutil.copyfile(source / pose.name, target / pose.name)
             continue
         with Image.open(source / pose.name) as read:
-            picture = read.convert("RGB")
+            picture = read if read.mode == "L" else read.convert("RGB")
+            picture.load()
         if scaled != picture.size:
             picture = picture.resize(scaled, Image.Resampling.LANCZOS)
         picture.crop(box).save(target / pose.name, quality=QUALITY, subsampling=0)

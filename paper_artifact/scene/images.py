@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside
@@ -134,6 +134,10 @@ def opened(source: Path | io.BytesIO, file: Path) -> Iterator[Image.Image]:
             yield picture
     except InputError:
         raise
+    except UnidentifiedImageError as error:
+        raise InputError(
+            f"{file} is no image of the kinds {', '.join(IMAGE_FORMATS)}; convert it or leave it out"
+        ) from error
     except Exception as error:  # PIL's decoders raise whatever their decoding meets
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{file} is damaged or no image ({reason}); copy it again") from error
