@@ -39,13 +39,21 @@ MANIFEST = ".paper_artifact.json"  # in a folder: {command or part of it: names 
 FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
 
+def _current_folder() -> Path:
+    """Return the current folder, the root where it was deleted: the command line says so then."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return Path(os.sep)
+
+
 def find_checkout(package: Path) -> Path | None:
     """Return the top of the checkout that the folder `package` lies in, None where there is no checkout."""
     above = package.resolve().parent
     return above if (above / "data_scripts" / "meshes.csv").is_file() else None
 
 
-REPOSITORY = find_checkout(Path(__file__).parent) or Path.cwd()
+REPOSITORY = find_checkout(Path(__file__).parent) or _current_folder()
 RESULTS = Path(os.environ.get(RESULTS_VARIABLE) or REPOSITORY / "results").absolute()  # runs are written here
 OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from whatever folder one calls
 

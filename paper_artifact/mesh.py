@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from paper_artifact.sampling import face_areas
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
 READERS = {"obj": read_obj, "ply": read_ply, "off": read_off, "stl": read_stl, "glb": None, "gltf": None}
+
+# What Betti numbers and bars of dimension 0, 1 and 2 count.
+FEATURES = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,3 +198,11 @@ def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
             f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}; "
             "the file is damaged or cut off, export it again"
         )
+
+
+def betti_text(betti: Sequence[int]) -> str:
+    """Return three Betti numbers as text: "1 component, 2 loops, 1 void"."""
+    return ", ".join(
+        f"{number} {one if number == 1 else more}"
+        for number, (one, more) in zip(betti, FEATURES, strict=True)
+    )

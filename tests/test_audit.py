@@ -14,11 +14,10 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.audit.marks import find_marks, view_parts
+from paper_artifact.audit.marks import find_marks, light_mesh, view_parts
 from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
 from paper_artifact.audit.rule import DENSITIES, Rung, decide
-from paper_artifact.audit.view import light_mesh
 from paper_artifact.catalogue import study_config
 from paper_artifact.certify.certificate import certify
 from paper_artifact.config import parse_changes
@@ -201,8 +200,8 @@ def test_the_verb_writes_report_numbers_and_bundle(tmp_path, capsys):
 
 @pytest.mark.parametrize("options", [["--densities", "4"], ["--seeds", "0"], ["--seed", "-1"]])
 def test_bad_options_are_refused(options, tmp_path, capsys):
-    assert cli.main(["audit", "sphere", "--out", str(tmp_path / "out"), *options]) == 1
-    assert "an audit needs" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert cli.main(["audit", "sphere", "--out", str(tmp_path / "out"), *options]) == 2
+    assert f"{options[0]} must be at least" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_failing_certificate_is_audited_by_what_is_seen():

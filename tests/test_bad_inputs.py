@@ -1,6 +1,7 @@
 """What a user may get wrong, through the command line.
 
-Wanted: exit code 1, one line on stderr that says what is wrong and what to do, no trace, folders as before.
+Wanted: exit code 1, or 2 where the arguments alone are wrong, one line on stderr that says what is wrong and
+what to do, no trace, folders as before.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import functools
 import json
 import shlex
 import shutil
+import sys
 
 import pytest
 import trimesh
@@ -23,16 +25,16 @@ from tests.tiny_run import tiny_arguments, tiny_config
 
 @pytest.fixture
 def refused(tmp_path, capsys):
-    """refused(arguments, *words): run the command, check the refusal described above."""
+    """refused(arguments, *words, code=1): run the command, check the refusal described above."""
 
     def tree() -> dict:
         found = tmp_path.rglob("*")
         return {path.relative_to(tmp_path): path.read_bytes() if path.is_file() else None for path in found}
 
-    def check(arguments, *words: str) -> None:
+    def check(arguments, *words: str, code: int = 1) -> None:
         before = tree()
         capsys.readouterr()
-        assert cli.main([str(argument) for argument in arguments]) == 1
+        assert cli.main([str(argument) for argument in arguments]) == code
         out, error = capsys.readouterr()
         assert error.startswith("paper_artifact: ") and error.endswith("\n"), error
         assert len(error.splitlines()) == 1 and "Traceback" not in error and out == ""
@@ -144,7 +146,9 @@ def test_values_that_make_no_sense(command, words, refused, tmp_path, monkeypatc
         monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)
         monkeypatch.setattr("paper_artifact.pipeline.prepare_scene", None)
     results = ["--results", "results"] if command.startswith(("train", "sweep")) else []
-    refused([*shlex.split(command), *results, "--quiet"], words)
+    looked_at = ("unknown shape", "unknown device", "no soup at", "no file at", "not a readable")
+    code = 1 if words.startswith(looked_at) else 2
+    refused([*shlex.split(command), *results, "--quiet"], words, code=code)
 
 
 def test_a_loss_whose_target_has_no_bar(refused, tmp_path):
@@ -158,7 +162,7 @@ def test_a_loss_whose_target_has_no_bar(refused, tmp_path):
     refused(arguments, "no significant bar in dimension 0")
 
 
-def test_an_output_folder_that_cannot_be_written(refused, tmp_path, capsys):
+def test_an_output_folder_that_cannot_be_written(refused, tmp_path, capsys, monkeypatch):
     """Below a regular file nobody can write, root included (whom permissions do not stop)."""
     (tmp_path / "file").write_text("mine")
     trimesh.creation.icosphere(1).export(tmp_path / "ball.obj")
@@ -168,10 +172,11 @@ def test_an_output_folder_that_cannot_be_written(refused, tmp_path, capsys):
     refused([*scene, below], "cannot write", "choose a folder")
     refused([*scene, tmp_path / "file"], "choose another folder")
     # and no dead progress bar is left above the error
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     arguments = [each for each in tiny_arguments() if each != "--quiet"]
     assert cli.main([*arguments, "--results", str(tmp_path / "file")]) == 1
     error = capsys.readouterr().err
-    assert "0/60" in error, "there was a bar"
+    assert "preparing scene and kernels" in error, "there was a bar"
     assert error.count("\n") == 1 and error.split("\r")[-1].startswith("paper_artifact: cannot write")
 
 

@@ -162,7 +162,7 @@ def test_the_law_is_found_again_in_rows_that_follow_it():
 )
 def test_bad_arguments_are_refused_before_any_measurement(arguments, words, monkeypatch, capsys):
     monkeypatch.setattr(bench_parts, "print_raster", None)  # calling it would fail
-    assert cli.main(["bench", *arguments]) == 1
+    assert cli.main(["bench", *arguments]) == 2
     assert words in capsys.readouterr().err
 
 

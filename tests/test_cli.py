@@ -1,104 +1,135 @@
-"""The command line: registry, help, exit codes. Verbs' own work is tested with their modules."""
+"""The command line: registry, help, options, exit codes, terminals; verbs are tested with their rooms."""
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 import subprocess
 import sys
 import types
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
 
 from paper_artifact import cli
+from paper_artifact.cli import bars, output
+from paper_artifact.cli.options import Options, Positional, Source
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 
+COMMAND = [sys.executable, "-m", "paper_artifact"]
+SIZES = {"small": 1, "large": 2}
 
-def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+
+def shell(script: str, cwd: Path = REPOSITORY, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a line of bash in which PY is the command."""
+    known = {**os.environ, "PYTHONPATH": str(REPOSITORY), "PY": shlex.join(COMMAND)}
     return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=REPOSITORY,
+        ["bash", "-c", script],
+        cwd=cwd,
         capture_output=True,
         text=True,
-        timeout=120,
-        env={**os.environ, **environment},
+        errors="replace",
+        timeout=300,
+        env=known | environment,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial(Options):
+    """Options of a verb for the tests.
+
+    place FILE: a file
+    number: a number
+    size: one of {SIZES} 100 % known
+    several: words
+    changes/set NAME=VALUE: may be given
+        several times
+    json FILE: where to write
+    """
+
+    place: Positional[Source | None] = None
+    number: Annotated[int, 2, 9] | None = None
+    size: Literal[*SIZES] = "small"
+    several: tuple[int, ...] = (1, 2)
+    changes: list[str] = field(default_factory=list)
+    json: Path | None = None
 
 
 @pytest.fixture
 def verb(monkeypatch):
-    """Register a verb `trial` with one option --number; returns a setter for what its run does."""
+    """Register a verb `trial`; returns a setter for what it does."""
     module = types.ModuleType("paper_artifact.cli.trial")
-    module.add_arguments = lambda parser: parser.add_argument("--number", type=int)
-    monkeypatch.setitem(cli.VERBS, "trial", cli.Verb("trial", "a verb for the tests"))
+    monkeypatch.setitem(cli.VERBS, "trial", ("trial.run", "a verb for the tests"))
     monkeypatch.setitem(sys.modules, "paper_artifact.cli.trial", module)
 
     def set_run(run):
-        module.run = run
-        return module
+        def runner(options: Trial):
+            return run(options)
+
+        runner.__annotations__["options"] = Trial
+        module.run = runner
 
     return set_run
 
 
 def test_help_names_every_verb_and_imports_none_of_them():
-    result = python("-X", "importtime", "-m", "paper_artifact", "--help")
+    result = shell(f"{sys.executable} -X importtime -m paper_artifact --help")
     assert result.returncode == 0
     assert all(name in result.stdout for name in cli.VERBS)
-    imported = {
-        line.rsplit("|", 1)[1].strip()
-        for line in result.stderr.splitlines()
-        if line.startswith("import time:")
-    }
+    imported = {line.rsplit("|", 1)[-1].strip() for line in result.stderr.splitlines()}
     assert "paper_artifact.cli" in imported
     assert not imported & {"numpy", "torch", "numba", "scipy", "tqdm", "pandas", "matplotlib"}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name, verb in cli.VERBS.items()
-        if (REPOSITORY / "paper_artifact" / "cli" / f"{verb.module}.py").is_file()
-    ],
-)
+@pytest.mark.parametrize("name", cli.VERBS)
 def test_each_verb_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main([name, "--help"])
-    text = capsys.readouterr().out
-    assert caught.value.code == 0
-    assert f"paper_artifact {name}" in text and "--quiet" in text
-    assert cli.VERBS[name].summary[:20].lower() in " ".join(text.split()).lower()
+    text = " ".join(capsys.readouterr().out.split())
+    assert caught.value.code == 0 and f"paper_artifact {name}" in text and "--quiet" in text
+    assert cli.VERBS[name][1].lower() in text.lower()
 
 
-def test_every_module_of_the_folder_is_a_registered_verb():
-    modules = {path.stem for path in (REPOSITORY / "paper_artifact" / "cli").glob("*.py")} - {"__init__"}
-    assert {name for name in modules if not name.startswith("_")} <= {
-        verb.module for verb in cli.VERBS.values()
-    }
-
-
-@pytest.mark.parametrize("arguments", [[], ["nope"], ["fetch", "--nope"], ["trial", "--number", "many"]])
-def test_wrong_usage_is_exit_code_2(arguments, verb, capsys):
-    verb(lambda arguments: 0)
-    with pytest.raises(SystemExit) as caught:
-        cli.main(arguments)
-    assert caught.value.code == 2
-    assert "usage:" in capsys.readouterr().err
-
-
-def test_run_gets_its_arguments_and_gives_the_exit_code(verb):
+def test_options_are_what_the_fields_say(verb, capsys):
     seen = []
-    verb(lambda arguments: seen.append((arguments.number, arguments.quiet)) or 3)
-    assert cli.main(["trial", "--number", "7", "--quiet"]) == 3
-    verb(lambda arguments: None)
-    assert cli.main(["trial"]) == 0
-    assert seen == [(7, True)]
+    verb(lambda options: (seen.append(options) or 3, {"a": 1}))
+    words = ["trial", "x.obj", "--number", "7", "--several", "4", "5", "--set", "a=1", "--set", "b=2"]
+    assert cli.main([*words, "--size", "large"]) == 3
+    (got,) = seen
+    assert (got.place, got.number, got.several, got.changes) == ("x.obj", 7, (4, 5), ["a=1", "b=2"])
+    assert got.quiet, "without a terminal there are no bars"
+    with pytest.raises(SystemExit):
+        cli.main(["trial", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--set NAME=VALUE may be given several times" in text and "(default: 1 2)" in text
+    assert "one of small, large 100 % known" in text and "[place]" in text
 
 
-def test_a_verb_may_define_quiet_itself(verb):
-    module = verb(lambda arguments: len(arguments.quiet))
-    module.add_arguments = lambda parser: parser.add_argument("--quiet", help="its own", default="four")
-    assert cli.main(["trial"]) == 4
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ([], "usage:"),
+        (["nope"], "usage:"),
+        (["fetch", "--nope"], "usage:"),
+        (["trial", "--number", "many"], "usage:"),
+        (["trial", "--size", "huge"], "usage:"),
+        (["trial", "--number", "10"], "--number must be from 2 to 9, got 10"),
+        (["trial", "x" * 300], "place names a file by 300 bytes"),
+        (["trial", "--json", "ε" * 120], "--json names a file by 240 bytes"),
+        (["trial", "/".join(["x" * 99] * 50)], "too long for a file system"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments, words, verb, capsys):
+    verb(None)  # calling it would fail
+    try:
+        code = cli.main(arguments)
+    except SystemExit as caught:
+        code = caught.code
+    assert code == 2 and words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -106,10 +137,14 @@ def test_a_verb_may_define_quiet_itself(verb):
     [
         (InputError("the mesh a.obj is empty; give another"), "the mesh a.obj is empty"),
         (KeyboardInterrupt(), "interrupted"),
+        (MemoryError(), "needs more memory than there is"),
+        (OSError(36, "File name too long", "y" * 300), "is too long for a file system"),
+        (OSError(28, "No space left on device", "a.ply"), "cannot write a.ply"),
+        (ModuleNotFoundError("No module named 'torch'", name="torch"), "needs the Python package 'torch'"),
     ],
 )
 def test_failure_is_one_line_and_exit_code_1(error, words, verb, capsys):
-    def run(arguments):
+    def run(options):
         raise error
 
     verb(run)
@@ -119,27 +154,93 @@ def test_failure_is_one_line_and_exit_code_1(error, words, verb, capsys):
 
 
 def test_a_fault_of_our_own_keeps_its_trace(verb):
-    verb(lambda arguments: {}["missing"])
+    verb(lambda options: {}["missing"])
     with pytest.raises(KeyError):
         cli.main(["trial"])
 
 
-def test_missing_verb_module_and_missing_package_are_told_apart(monkeypatch, capsys):
-    monkeypatch.setitem(cli.VERBS, "later", cli.Verb("later_than_this", "a verb without a module"))
-    assert cli.main(["later"]) == 1
-    assert "the verb 'later' is not part of this version" in capsys.readouterr().err
-
-    def without_package(name):
-        raise ModuleNotFoundError("No module named 'torch'", name="torch")
-
-    monkeypatch.setattr(cli.importlib, "import_module", without_package)
-    assert cli.main(["train"]) == 1
-    assert "needs the Python package 'torch'" in capsys.readouterr().err
+def test_json_goes_to_a_file_or_alone_to_stdout(verb, tmp_path, capsys):
+    verb(lambda options: print("a table") or (0, {"β": [1, 2]}))
+    assert cli.main(["trial", "--json", str(tmp_path / "a.json")]) == 0
+    assert capsys.readouterr().out == "a table\n" and json.loads((tmp_path / "a.json").read_text()) == {
+        "β": [1, 2]
+    }
+    assert cli.main(["trial", "--json", "-"]) == 0
+    out, error = capsys.readouterr()
+    assert json.loads(out) == {"β": [1, 2]} and error == "a table\n"
 
 
-def test_a_reader_that_goes_away_is_no_trace():
-    command = f"{sys.executable} -u -m paper_artifact fetch --list | head -n 1"
-    result = subprocess.run(
-        ["bash", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, timeout=120
+def test_a_table_sets_numbers_right_and_texts_left():
+    table = output.to_string(("what", "n"), [("a", 5), ("longer", 12345)], "  ")
+    assert table.splitlines() == ["  what        n", "  a           5", "  longer  12345"]
+    assert output.to_string(("a", "bb"), []) == "a  bb"
+
+
+@pytest.mark.parametrize("name", ["my soup.npz", "it's; rm -rf ~", "$HOME `id`", "-x", "a\nb", '"ε"'])
+def test_next_commands_survive_copy_and_paste(name):
+    line = output.next_command("export", name)
+    assert shlex.split(line)[1:] == ["python", "-m", "paper_artifact", "export", name]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1"])
+def test_terminals_that_lack_a_sign_get_plain_letters(encoding):
+    code = (
+        "from paper_artifact.cli.output import prepare_streams as p; p(); print('ε = β × χ ← \\udce9 ü');"
+        "import sys; print('λ…', file=sys.stderr)"
     )
-    assert "Traceback" not in result.stderr and result.stdout.startswith("spot")
+    result = shell(f'{sys.executable} -c "$CODE"', CODE=code, PYTHONIOENCODING=encoding, LC_ALL="C")
+    assert result.returncode == 0, result.stderr
+    assert "eps = beta " in result.stdout and "<- \\udce9" in result.stdout and "lambda" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "script, code, words",
+    [
+        ("$PY certify cube >&-", 0, ""),  # stdout is closed
+        ("$PY certify cube >&- 2>&-", 0, ""),
+        ("$PY certify cube > /dev/full", 1, "cannot write"),
+        ("$PY fetch --list | head -n 1; exit ${PIPESTATUS[0]}", 1, ""),
+        ("PYTHONIOENCODING=ascii $PY certify cube", 0, ""),
+        ("LC_ALL=de_DE.UTF-8 LC_NUMERIC=de_DE.UTF-8 $PY certify cube", 0, ""),  # 0,5 for .5
+        ("PYTHONWARNINGS=ignore $PY certify open_box", 1, ""),
+    ],
+)
+def test_odd_terminals_and_surroundings(script, code, words):
+    result = shell(script.replace("$PY", shlex.join([sys.executable, "-u", "-m", "paper_artifact"])))
+    assert "Traceback" not in result.stderr and result.returncode == code, result.stderr
+    assert words in result.stderr and (words or result.stderr == "" or code)
+
+
+def test_a_working_directory_that_is_gone(tmp_path):
+    (tmp_path / "gone").mkdir()
+    result = shell(
+        f"rmdir {tmp_path / 'gone'}; $PY certify cube --json {tmp_path / 'a.json'}", tmp_path / "gone"
+    )
+    assert result.stderr == "paper_artifact: the current folder was deleted; change to one that exists\n"
+    assert result.returncode == 1
+
+
+def test_the_bar_of_steps_shows_no_rate_before_the_first(capsys, monkeypatch):
+    with bars.step_bar("sphere C0", 100, False) as line:
+        assert "preparing scene and kernels" in line.format_meter(**line.format_dict)
+        assert "?" not in str(line) and not line.seen
+        line.start_t -= 3600  # an hour of compiling
+        line.progress(41, "loss .1")
+        assert line.initial == 41 and line.seen
+        assert line.format_dict["elapsed"] < 60, "the time left is of the steps alone"
+    with bars.step_bar("sphere C0", 100, True) as line:
+        line.progress(1, "loss .1")
+        assert line.seen
+
+
+def test_tab_completion_proposes_verbs_options_and_names(tmp_path):
+    def proposed(line: str) -> set[str]:
+        script = 'exec 8>"$OUT" 9>/dev/null; $PY'
+        known = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_SHELL": "bash", "COMP_LINE": line, "COMP_TYPE": "9"}
+        known |= {"COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n", "OUT": str(tmp_path / "out")}
+        shell(script.replace("$PY", shlex.join(COMMAND)), **known)
+        return {each.strip() for each in (tmp_path / "out").read_text().split("\n")}
+
+    assert {"certify", "ingest"} <= proposed("paper-artifact ")
+    assert proposed("paper-artifact certify --c") >= {"--closed", "--candidates"}
+    assert "two_spheres" in proposed("paper-artifact train two_")

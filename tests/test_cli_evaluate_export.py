@@ -82,15 +82,17 @@ def test_evaluate_of_a_mesh_file(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments, reason",
+    "arguments, code, reason",
     [
-        (["absent.npz", "--target", "sphere"], "no file at"),
-        (["{soup}", "--target", "klein"], "unknown shape"),
-        (["{soup}", "--target", "sphere", "--samples", "2"], "at least 4"),
+        (["absent.npz", "--target", "sphere"], 1, "no file at"),
+        (["{soup}", "--target", "klein"], 1, "unknown shape"),
+        (["{soup}", "--target", "sphere", "--samples", "2"], 2, "at least 4"),
+        (["{soup}"], 2, "give --target SHAPE|MESH, or --scene DIR"),
+        (["{soup}", "--target", "sphere", "--holdout", "3"], 2, "--holdout belong to --scene DIR"),
     ],
 )
-def test_evaluate_names_bad_input(soup_file, arguments, reason, capsys):
-    assert main(["evaluate", *[argument.format(soup=soup_file) for argument in arguments]]) == 1
+def test_evaluate_names_bad_input(soup_file, arguments, code, reason, capsys):
+    assert main(["evaluate", *[argument.format(soup=soup_file) for argument in arguments]]) == code
     assert reason in capsys.readouterr().err
 
 

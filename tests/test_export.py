@@ -19,11 +19,16 @@ from scipy.spatial.transform import Rotation
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
-from paper_artifact.export.images import sheet, write_png
-from paper_artifact.export.models import srgb_to_linear, write_glb, write_ply
-from paper_artifact.export.triangles import Triangles, mesh_triangles, soup_triangles
-from paper_artifact.export.viewer import html_page, write_html
-from paper_artifact.export.viewpoint import scene_viewpoint, shape_viewpoint
+from paper_artifact.export.models import (
+    Triangles,
+    mesh_triangles,
+    soup_triangles,
+    srgb_to_linear,
+    write_glb,
+    write_ply,
+)
+from paper_artifact.export.renders import sheet, write_png
+from paper_artifact.export.viewer import html_page, scene_viewpoint, shape_viewpoint, write_html
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import look_at, world_to_clip

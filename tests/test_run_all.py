@@ -98,7 +98,7 @@ def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
 def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     path = write_notebook(
         tmp_path / "01_drawn.ipynb",
-        "from paper_artifact.export.figures import new_figure",
+        "from paper_artifact.plot import new_figure",
         "from paper_artifact.report.kit.figures import show",
         "figure, axes = new_figure(1, 1, 2, 2)",
         "axes[0][0].plot([1, 2], [3, 4])",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -13,7 +12,7 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from paper_artifact.cli import scene as verb
+from paper_artifact.cli import main
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, mesh_hash
@@ -229,35 +228,33 @@ def test_one_flipped_bit_of_a_built_scene_is_refused(torus_scene, tmp_path, name
         load_scene(tmp_path / "flipped")
 
 
-def arguments(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--quiet", action="store_true")
-    verb.add_arguments(parser)
-    return parser.parse_args([*words, "--views", "3", "--size", "16", "--points", "50", "--supersample", "1"])
+TINY = ["--views", "3", "--size", "16", "--points", "50", "--supersample", "1"]
 
 
 def test_the_verb_makes_a_scene_of_a_shape_and_of_a_mesh_file(tmp_path, capsys):
-    assert (
-        verb.run(arguments("--shape", "cube", "--out", str(tmp_path / "cube"), "--background", "black")) == 0
-    )
+    words = ["--shape", "cube", "--out", str(tmp_path / "a cube"), "--background", "black"]
+    assert main(["scene", *words, *TINY]) == 0
     printed, progress = capsys.readouterr()
-    assert "cube (12 triangles" in printed and "3 views" in printed and "rendering cube" in progress
-    assert load_scene(tmp_path / "cube").background.tolist() == [0, 0, 0]
+    assert "cube (12 triangles" in printed and "3 views" in printed and progress == ""  # no terminal
+    assert printed.endswith(f"next: python -m paper_artifact train --scene '{tmp_path / 'a cube'}'\n")
+    assert load_scene(tmp_path / "a cube").background.tolist() == [0, 0, 0]
     mesh = tmp_path / "pyramid.off"
     mesh.write_text("OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")
-    assert verb.run(arguments("--mesh", str(mesh), "--out", str(tmp_path / "pyramid"))) == 0
+    assert main(["scene", "--mesh", str(mesh), "--out", str(tmp_path / "pyramid"), *TINY]) == 0
     kept = load_ground_truth(tmp_path / "pyramid")
     assert (kept.name, kept.betti, len(kept.faces)) == ("pyramid", None, 4)
 
 
 def test_the_verb_refuses_bad_usage_and_bad_input(tmp_path, capsys):
-    for words in ([], ["--shape", "cube"], ["--shape", "cube", "--mesh", "a.obj", "--out", "b"]):
-        with pytest.raises(SystemExit) as refused:
-            arguments(*words)
-        assert refused.value.code == 2
-    assert "usage" in capsys.readouterr().err
-    with pytest.raises(InputError, match="unknown shape"):
-        verb.run(arguments("--shape", "klein_bottle", "--out", str(tmp_path / "x")))
+    with pytest.raises(SystemExit) as refused:
+        main(["scene", "--shape", "cube"])
+    assert refused.value.code == 2 and "required: --out" in capsys.readouterr().err
+    out = ["--out", str(tmp_path / "x")]
+    for words in ([], ["--shape", "cube", "--mesh", "a.obj"]):
+        assert main(["scene", *words, *out]) == 2
+        assert "give one of --shape NAME, --mesh FILE and --transforms" in capsys.readouterr().err
+    assert main(["scene", "--shape", "klein_bottle", *out]) == 1
+    assert "unknown shape" in capsys.readouterr().err
     assert os.listdir(tmp_path) == []
 
 

@@ -12,7 +12,7 @@ import torch
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.cli.solidify import offset_table
+from paper_artifact.cli.solids import offset_table
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup, write_solid
 from paper_artifact.ingest.crossings import crossing_faces
@@ -188,30 +188,33 @@ def test_the_verb(tmp_path: Path, capsys):
     words = ["solidify", str(tmp_path / "t.npz"), "--out", str(out), "--quiet", "--json", str(stored)]
     assert cli.main([*words, "--target", "torus", "--offsets", "0.025,0.03"]) == 0
     printed = capsys.readouterr().out
-    assert "ε = 0.025 D is the smallest that gives β = (1, 2, 1)" in printed and "Chamfer" in printed
+    assert "ε = 0.025 D is the smallest that gives 1 component, 2 loops, 1 void" in printed
+    assert "Chamfer" in printed
     report = json.loads(stored.read_text())
     assert report["solid"]["certificate"]["genus"] == 1 and report["distance"]["chamfer"] < 0.02
     assert cli.main([*words, "--offsets", "0.03"]) == 0
     assert "no Betti numbers last over two offsets: ε = 0.03 D" in capsys.readouterr().out
     assert cli.main([*words, "--offsets", "0.025,0.03"]) == 0
-    assert "nothing was wanted; β = (1, 2, 1), a body, lasts longest" in capsys.readouterr().out
+    lasting = "nothing was wanted; 1 component, 2 loops, 1 void, a body, lasts longest"
+    assert lasting in capsys.readouterr().out
     out.unlink()
     assert cli.main([*words, "--betti", "1,4,1", "--offsets", "0.03"]) == 1
-    assert "no offset gives β = (1, 4, 1)" in capsys.readouterr().out and not out.exists()
+    assert "no offset gives 1 component, 4 loops, 1 void" in capsys.readouterr().out and not out.exists()
     assert json.loads(stored.read_text())["solid"] is None
 
 
 def test_the_verb_refuses_before_it_works(tmp_path: Path, capsys):
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 cut off")
-    for words, answer in (
-        (["--out", "a.obj"], "must end in .ply or .glb"),
-        (["--out", "a.ply", "--betti", "0,0,0"], "b0 ≥ 1"),
-        (["--out", "a.ply", "--betti", "one"], "takes numbers"),
-        (["--out", "a.ply", "--offsets", "0.4"], "offset must be"),
-        (["--out", "a.ply", "--cells", "0.1"], "at least one grid cell"),
-        (["--out", "a.ply"], "not a readable soup"),
+    for words, code, answer in (
+        (["--out", "a.obj"], 2, "must end in .ply or .glb"),
+        (["--out", "a.ply", "--betti", "0,0,0"], 2, "b0 ≥ 1"),
+        (["--out", "a.ply", "--betti", "one"], 2, "takes numbers"),
+        (["--out", "a.ply", "--offsets", "0.4"], 2, "offset must be"),
+        (["--out", "a.ply", "--cells", "0.1"], 2, "at least one grid cell"),
+        (["--out", "a.ply", "--radius", "1"], 2, "belong to --scene DIR"),
+        (["--out", "a.ply"], 1, "not a readable soup"),
     ):
-        assert cli.main(["solidify", str(tmp_path / "bad.npz"), *words]) == 1
+        assert cli.main(["solidify", str(tmp_path / "bad.npz"), *words]) == code
         assert answer in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
 

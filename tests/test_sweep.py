@@ -334,7 +334,7 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
 )
 def test_bad_arguments_are_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sweep_module, "start_run", None)
-    assert cli.main(["sweep", *arguments, "--quiet", f"--results={tmp_path / 'results'}"]) == 1
+    assert cli.main(["sweep", *arguments, "--quiet", f"--results={tmp_path / 'results'}"]) == 2
     error = capsys.readouterr().err
     assert words in error and len(error.splitlines()) == 1
 

@@ -10,7 +10,7 @@ import trimesh
 
 from paper_artifact import cli
 from paper_artifact.catalogue import study_config
-from paper_artifact.cli.train import audited
+from paper_artifact.cli.runs import audited
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import closing_notes, make_run_term
 from paper_artifact.record.store import find_records, read_record, recorded_path

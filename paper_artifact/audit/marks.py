@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import Delaunay, QhullError
 
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
-from paper_artifact.export.triangles import STONE, Triangles, mesh_triangles
-from paper_artifact.mesh import Mesh
+from paper_artifact.export.models import STONE, Triangles, mesh_triangles
+from paper_artifact.mesh import Mesh, weld
 
 MOST = 8  # marks per dimension
 COLOURS = ("#c0392b", "#1f5fbf", "#2e8b57", "#c47f00", "#7d3c98", "#008b8b", "#b03a78", "#5d6d7e")
@@ -141,3 +141,26 @@ def _joined(parts: Sequence[Triangles]) -> Triangles:
             for name in ("vertices", "colours", "opacity")
         )
     )
+
+
+def light_mesh(mesh: Mesh, most: int = 60_000) -> Mesh:
+    """Return the mesh itself or, above `most` triangles, a coarser one for a picture only.
+
+    Its vertices are those of each cell of a grid merged to their mean. The grid is coarsened until at most
+    `most` triangles are left; the topology may change.
+    """
+    cells = 256
+    vertices, faces = mesh.vertices, mesh.faces
+    while len(faces) > most:
+        keys = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / (mesh.diagonal / cells)).astype(
+            np.int64
+        )
+        _, group = np.unique(keys @ (1 << np.array([0, 20, 40])), return_inverse=True)
+        size = np.bincount(group)
+        vertices = np.stack(
+            [np.bincount(group, weights=mesh.vertices[:, axis]) / size for axis in range(3)], axis=1
+        )
+        vertices, faces = weld(vertices, group[mesh.faces])
+        faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
+        cells = cells * 3 // 4
+    return Mesh(vertices, faces, mesh.name)

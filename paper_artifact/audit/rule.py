@@ -22,12 +22,12 @@ from dataclasses import dataclass
 
 from paper_artifact.certify.certificate import Certificate
 from paper_artifact.errors import InputError
+from paper_artifact.mesh import FEATURES, betti_text
 
 DENSITIES = (512, 1024, 2048, 4096, 8192, 20_000)
 WORKING = (2048, 8192)
 NEAR = 0.15  # of the floor: margins vary by about this much between sampling seeds
 NAMES = ("components (H0)", "loops (H1)", "voids (H2)")
-NOUNS = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def counted(dimension: int, found: int, expected: int) -> str:
     Both are numbers of finite bars, so the first component, which no bar tells of, is added to either.
     """
     first = int(dimension == 0)
-    return f"{found + first} of {expected + first} {NOUNS[dimension][expected + first != 1]}"
+    return f"{found + first} of {expected + first} {FEATURES[dimension][expected + first != 1]}"
 
 
 def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[int] = WORKING) -> Decision:
@@ -92,7 +92,8 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
     if certificate.passed and certificate.closed:
         certified = (certificate.betti[0] - 1, certificate.betti[1], certificate.betti[2])
         reasons.append(
-            f"The certificate passes: expected finite bars {certified} of β = {certificate.betti}."
+            f"The certificate passes ({betti_text(certificate.betti)}): the expected finite bars are "
+            f"{certified}."
         )
         choices = [("certificate", certified), ("observation", observed)]
     else:

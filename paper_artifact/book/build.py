@@ -2,7 +2,7 @@
 
 A claim is a row of `results/claims/*.csv`, written by the notebook that checked it (`claims.Claims`). The
 verdict of an item of the paper is a count of its claims. Notebooks become pages through nbconvert, which
-removes every script of theirs; the reference of the Python API is pdoc's. """
+removes every script of theirs; the reference of the Python API is pdoc's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from typing import Any
 
 import nbformat
 import pandas as pd
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from nbformat import NotebookNode
 
@@ -27,11 +26,11 @@ from paper_artifact.claims import FOLDER, MISSING, read_claims
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, renewed_folder, write_bytes, write_text
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
+from paper_artifact.pages import TEMPLATES, render
 from paper_artifact.results import PUBLISHED
 from paper_artifact.verdict import PARITY
 
 BOOK = RESULTS / "book"
-TEMPLATES = Path(__file__).with_name("templates")
 MENU = (  # (name, file) of what every page leads to
     ("Result", "index.html"),
     ("28 items", "items.html"),
@@ -267,19 +266,12 @@ class Pages:
         from nbconvert import HTMLExporter
 
         self.folder = folder
-        strict = {
-            "autoescape": True,
-            "undefined": StrictUndefined,
-            "trim_blocks": True,
-            "lstrip_blocks": True,
-        }
-        self.environment = Environment(loader=FileSystemLoader(TEMPLATES), **strict)
         self.exporter = HTMLExporter(template_name="basic", exclude_anchor_links=True, sanitize_html=True)
 
     def write(self, template: str, file: str, title: str, **content: Any) -> None:
         """Write one page; `file` may lie one folder deeper. Raises InputError when it cannot be written."""
         page = {"title": title, "menu": MENU, "here": file, "root": "../" * file.count("/")}
-        write_text(self.folder / file, self.environment.get_template(template).render(page | content))
+        write_text(self.folder / file, render(template, **page, **content))
 
     def write_style(self) -> None:
         """Write the style sheet: the templates' own and the colours of code."""

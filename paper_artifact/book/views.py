@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 
 from paper_artifact import results
-from paper_artifact.audit.view import light_mesh
+from paper_artifact.audit.marks import light_mesh
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
-from paper_artifact.export.triangles import mesh_triangles, soup_triangles
-from paper_artifact.export.viewer import write_html
-from paper_artifact.export.viewpoint import shape_viewpoint
+from paper_artifact.export.models import mesh_triangles, soup_triangles
+from paper_artifact.export.viewer import shape_viewpoint, write_html
 from paper_artifact.scene.find import surface
 from paper_artifact.soup.state import load_soup
 

@@ -1,118 +1,168 @@
+# PYTHON_ARGCOMPLETE_OK
 """The command line: `python -m paper_artifact VERB …`.
 
-Each verb is a module `paper_artifact/cli/<verb>.py` with
-
-    add_arguments(parser: argparse.ArgumentParser) -> None
-    run(arguments: argparse.Namespace) -> int            # the exit code
-
-and a row in `VERBS`. A verb's module is imported only when that verb is asked for, so `--help` needs neither
-torch nor numba. Verbs marked long carry `--quiet` (arguments.quiet: bool, no progress bar), added here.
+A verb is a row of `VERBS`: a function of its options, a dataclass (see `options`), in one of this folder's
+modules, which is imported only when the verb is asked for: `--help` needs neither torch nor numba. The
+function returns its exit code or, for a verb with --json, (exit code, what is written there).
 
 Exit codes: 0 done; 1 failed (InputError: one line on stderr, no trace; Ctrl-C likewise); 2 wrong usage.
+Tab completion: `eval "$(register-python-argcomplete paper-artifact)"`.
 """
 
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
+import json
 import os
 import sys
+import typing
 from collections.abc import Callable, Sequence
-from types import ModuleType
-from typing import NamedTuple
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from typing import Any
 
 from paper_artifact import __version__
+from paper_artifact.cli.options import Options, WrongUsage, add_options, read_options
+from paper_artifact.cli.output import prepare_streams
 from paper_artifact.errors import InputError
-from paper_artifact.files import DISK_BROKEN, DISK_FULL, write_failure
+from paper_artifact.files import DISK_BROKEN, DISK_FULL, write_failure, write_json
 
-Runner = Callable[[argparse.Namespace], int | None]
-
-
-class Verb(NamedTuple):
-    """One verb of the command line."""
-
-    module: str  # its name in this folder
-    summary: str  # what it does, one line
-    long: bool = True  # whether it takes long enough for a progress bar
+Runner = Callable[[Any], Any]
 
 
-VERBS: dict[str, Verb] = {
-    "fetch": Verb(
-        "fetch", "download the external meshes at their pinned commits, or read them from a mirror"
+VERBS: dict[str, tuple[str, str]] = {  # name: (module.function in this folder, what it does)
+    "fetch": (
+        "scenes.fetch",
+        "download the external meshes at their pinned commits, or read them from a mirror",
     ),
-    "photos": Verb("photos", "register photographs (structure from motion) and make a COLMAP scene of them"),
-    "scene": Verb(
-        "scene", "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file"
+    "photos": (
+        "scenes.photos",
+        "register photographs (structure from motion) and make a COLMAP scene of them",
     ),
-    "train": Verb("train", "train a triangle soup on a scene and write its run record"),
-    "evaluate": Verb(
-        "evaluate", "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM"
+    "scene": (
+        "scenes.scene",
+        "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file",
     ),
-    "export": Verb("export", "write a trained soup as PLY, GLB, PNG renders and a self-contained HTML view"),
-    "run-all": Verb(
-        "run_all", "execute every notebook in order and print a table of notebook, time and status"
+    "train": ("runs.train", "train a triangle soup on a scene and write its run record"),
+    "evaluate": (
+        "evaluate.evaluate",
+        "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM",
     ),
-    "book": Verb("book", "make the book: results, items, figures, tables, 3-D views and notebooks as pages"),
-    "bench": Verb("bench", "measure speed and memory; every ratio is taken in one process"),
-    "certify": Verb("certify", "certify a mesh's topology by exact simplicial homology"),
-    "audit": Verb("audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
-    "ingest": Verb("ingest", "turn raw open shells into one closed, certified surface"),
-    "solidify": Verb("solidify", "turn a trained soup into one closed, certified, coloured mesh"),
-    "sweep": Verb("sweep", "run a table of training runs, resuming what is missing"),
-    "measure": Verb("measure", "make a measurement that the notebooks read from results/measured"),
+    "export": (
+        "export.export",
+        "write a trained soup as PLY, GLB, PNG renders and a self-contained HTML view",
+    ),
+    "run-all": (
+        "notebooks.run_all",
+        "execute every notebook in order and print a table of notebook, time and status",
+    ),
+    "book": (
+        "notebooks.book",
+        "make the book: results, items, figures, tables, 3-D views and notebooks as pages",
+    ),
+    "bench": ("bench.bench", "measure speed and memory; every ratio is taken in one process"),
+    "certify": ("meshes.certify", "certify a mesh's topology by exact simplicial homology"),
+    "audit": ("meshes.audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
+    "ingest": ("solids.ingest", "turn raw open shells into one closed, certified surface"),
+    "solidify": ("solids.solidify", "turn a trained soup into one closed, certified, coloured mesh"),
+    "sweep": ("runs.sweep", "run a table of training runs, resuming what is missing"),
+    "measure": ("bench.measure", "make a measurement that the notebooks read from results/measured"),
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line on `argv` (default: the process's arguments) and return the exit code.
 
-    Wrong usage and `--help` raise SystemExit (2 and 0), as argparse does.
+    What argparse refuses, and `--help`, raise SystemExit (2 and 0).
     """
+    prepare_streams()
     argv = list(sys.argv[1:] if argv is None else argv)
-    # Only the verb asked for is imported: the first word that is no option names it.
-    asked = next((word for word in argv if not word.startswith("-")), None)
+    asked = _asked(argv)
     try:
-        parser, runners = _parser(asked)
-        arguments = parser.parse_args(argv)
-        code = int(runners[arguments.verb](arguments) or 0)
+        code = _run(argv, asked)
         sys.stdout.flush()
         return code
-    except InputError as error:
-        print(f"paper_artifact: {error}", file=sys.stderr)
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
-            raise
-        print(
-            f"paper_artifact: the verb '{asked}' needs the Python package '{error.name}', which is not "
-            "installed; in a checkout run `bash test.sh` and use .venv/bin/python, "
-            "else `pip install '.[study]'`",
-            file=sys.stderr,
-        )
     except BrokenPipeError:  # the reader (head, less) has gone
         _silence_stdout()
-    except OSError as error:
-        if error.errno not in DISK_FULL | DISK_BROKEN:
+        return 1
+    except (InputError, OSError, MemoryError, ModuleNotFoundError, KeyboardInterrupt) as error:
+        text = _sentence(error, asked)
+        if text is None:
             raise
-        print(f"paper_artifact: {write_failure(error.filename or 'the output', error)}", file=sys.stderr)
-        _silence_stdout()
-    except KeyboardInterrupt:
-        print(
-            "paper_artifact: interrupted; finished files are complete and the same command can be run again",
-            file=sys.stderr,
+        with suppress(BrokenPipeError):
+            print(f"paper_artifact: {text}", file=sys.stderr)
+        if isinstance(error, OSError):
+            _silence_stdout()
+        return 2 if isinstance(error, WrongUsage) else 1
+
+
+def _run(argv: list[str], asked: str | None) -> int:
+    """Run the verb and write what belongs to --json. Returns the exit code."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise InputError("the current folder was deleted; change to one that exists") from error
+    parser, runner = _parser(asked)
+    with suppress(ImportError):
+        import argcomplete
+
+        argcomplete.autocomplete(parser)  # returns at once unless a shell asks for proposals
+    namespace = parser.parse_args(argv)
+    options = read_options(_options_of(runner), namespace)
+    file = getattr(options, "json", None)
+    on_stdout = file == Path("-")  # then the text goes to stderr
+    with redirect_stdout(sys.stderr if on_stdout else sys.stdout):
+        code, value = runner(options) if hasattr(options, "json") else (runner(options), None)
+    if on_stdout:
+        print(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))
+    elif file is not None:
+        write_json(file, value)
+    return int(code or 0)
+
+
+def _sentence(error: BaseException, asked: str | None) -> str | None:
+    """Return what is said of an error, None for a fault of this program, which keeps its trace."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; finished files are complete and the same command can be run again"
+    if isinstance(error, MemoryError):
+        return f"the verb '{asked}' needs more memory than there is; ask for less, or use a larger machine"
+    if isinstance(error, ModuleNotFoundError):
+        if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
+            return None
+        return (
+            f"the verb '{asked}' needs the Python package '{error.name}', which is not installed; in a "
+            "checkout run `bash test.sh` and use .venv/bin/python, else `pip install '.[study]'` there"
         )
-    return 1
+    assert isinstance(error, OSError)
+    if error.errno in DISK_FULL | DISK_BROKEN:
+        return str(write_failure(error.filename or "the output", error))
+    if error.errno == errno.ENAMETOOLONG:
+        return f"the name {str(error.filename)[:60]}… is too long for a file system; give a shorter one"
+    return None
 
 
 def _silence_stdout() -> None:
     """Point stdout at nothing where it takes nothing any more, so that the last flush is silent."""
     try:
         sys.stdout.flush()
-    except OSError:
+    except (OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _parser(asked: str | None) -> tuple[argparse.ArgumentParser, dict[str, Runner]]:
-    """Return the parser and {verb: its `run`}, the latter of the verb asked for alone."""
+def _asked(argv: Sequence[str]) -> str | None:
+    """Return the verb that is asked for, or that a shell wants proposals for: the first word that is no
+    option."""
+    if "_ARGCOMPLETE" in os.environ:
+        argv = [word for word in os.environ.get("COMP_LINE", "").split() if word in VERBS]
+    return next((word for word in argv if not word.startswith("-")), None)
+
+
+def _parser(asked: str | None) -> tuple[argparse.ArgumentParser, Runner | None]:
+    """Return the parser and the function of the verb that is asked for, whose options alone it knows."""
     parser = argparse.ArgumentParser(
         prog="python -m paper_artifact",
         description="Topology-aware differentiable triangle-soup reconstruction, piece by piece.",
@@ -121,32 +171,16 @@ def _parser(asked: str | None) -> tuple[argparse.ArgumentParser, dict[str, Runne
     )
     parser.add_argument("--version", action="version", version=f"paper_artifact {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    runners: dict[str, Runner] = {}
-    for name, verb in VERBS.items():
-        # "resolve": a verb may define --quiet again with words of its own.
-        child = verbs.add_parser(
-            name,
-            help=verb.summary,
-            description=verb.summary[0].upper() + verb.summary[1:] + ".",
-            conflict_handler="resolve",
-        )
-        if verb.long:
-            child.add_argument("--quiet", action="store_true", help="no progress bar, for logs")
+    runner = None
+    for name, (place, summary) in VERBS.items():
+        child = verbs.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == asked:
-            module = _load(name, verb)
-            module.add_arguments(child)
-            runners[name] = module.run
-    return parser, runners
+            module, _, function = place.partition(".")
+            runner = getattr(importlib.import_module(f"paper_artifact.cli.{module}"), function)
+            add_options(child, _options_of(runner))
+    return parser, runner
 
 
-def _load(name: str, verb: Verb) -> ModuleType:
-    path = f"paper_artifact.cli.{verb.module}"
-    try:
-        return importlib.import_module(path)
-    except ModuleNotFoundError as error:
-        if error.name == path:
-            raise InputError(
-                f"the verb '{name}' is not part of this version ({__version__}); "
-                "`python -m paper_artifact --help` lists the verbs"
-            ) from None
-        raise
+def _options_of(runner: Runner) -> type[Options]:
+    """Return the dataclass of a verb's options: the type of its function's argument."""
+    return typing.get_type_hints(runner)["options"]

@@ -3,16 +3,16 @@ arguments."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 MIB = 2**20
 
 
 @contextmanager
-def told_in_place(what: str, arguments: argparse.Namespace) -> Iterator[Callable[[str], None]]:
+def told_in_place(what: str, arguments: Any) -> Iterator[Callable[[str], None]]:
     """Yield told(text), which shows what a long measurement is doing in one line that vanishes at the end."""
     from tqdm import tqdm
 
@@ -20,7 +20,7 @@ def told_in_place(what: str, arguments: argparse.Namespace) -> Iterator[Callable
         yield lambda text: bar.set_description(f"{what}: {text}")
 
 
-def print_raster(folder: Path, arguments: argparse.Namespace) -> None:
+def print_raster(folder: Path, arguments: Any) -> None:
     """Print the photometric step: the kernels, the twin, the stages."""
     from paper_artifact.bench.raster import raster_rows
 
@@ -33,7 +33,7 @@ def print_raster(folder: Path, arguments: argparse.Namespace) -> None:
         print(f"  {row['what']:42s} {row['ms']:9.2f}{ratio}")
 
 
-def print_run(folder: Path, arguments: argparse.Namespace) -> None:
+def print_run(folder: Path, arguments: Any) -> None:
     """Print whole runs on one thread and two, and the step on one and two in turn."""
     from paper_artifact.bench.run import run_row
     from paper_artifact.bench.speed import thread_rows
@@ -57,7 +57,7 @@ def print_run(folder: Path, arguments: argparse.Namespace) -> None:
         )
 
 
-def print_compile(folder: Path, arguments: argparse.Namespace) -> None:
+def print_compile(folder: Path, arguments: Any) -> None:
     """Print what compilation costs, and that a second process compiles nothing."""
     from paper_artifact.bench.compilation import compilation_rows
 
@@ -75,7 +75,7 @@ def print_compile(folder: Path, arguments: argparse.Namespace) -> None:
     print(f"  compilation alone, first less second: {rows[0]['cpu'] - rows[1]['cpu']:.1f} s of CPU")
 
 
-def print_reach(folder: Path, arguments: argparse.Namespace) -> None:
+def print_reach(folder: Path, arguments: Any) -> None:
     """Print peak memory with many photographs, and the cost of a step against triangles and pixels."""
     from paper_artifact.bench.reach import PHOTOGRAPHS, photographs_row
     from paper_artifact.bench.speed import fit_law, law_text, step_rows
@@ -99,7 +99,7 @@ def print_reach(folder: Path, arguments: argparse.Namespace) -> None:
     print(f"  {law_text(*fit_law(rows))}")
 
 
-def print_persistence(folder: Path, arguments: argparse.Namespace) -> None:
+def print_persistence(folder: Path, arguments: Any) -> None:
     """Print our persistence beside gudhi's, how both grow, and one large cloud."""
     from paper_artifact.bench.persistence import growth_text, persistence_rows
     from paper_artifact.bench.reach import large_row
@@ -137,7 +137,7 @@ def _paper(quantity: str, samples: int | None = None) -> str:
     return (rows if samples is None else rows[rows["samples"] == samples])["printed"].item()
 
 
-def print_loss(folder: Path, arguments: argparse.Namespace) -> None:
+def print_loss(folder: Path, arguments: Any) -> None:
     """Print a refresh, a frozen step, plans of thousands of pulls, and what the loss adds to a run."""
     from paper_artifact.bench.run import run_row
     from paper_artifact.bench.topology import loss_rows, plan_rows
@@ -166,7 +166,7 @@ def print_loss(folder: Path, arguments: argparse.Namespace) -> None:
     )
 
 
-def print_gpu(folder: Path, arguments: argparse.Namespace) -> None:
+def print_gpu(folder: Path, arguments: Any) -> None:
     """Print the GPU memory of C0 and C1 on the torus beside the paper's, or that there is no GPU."""
     from paper_artifact.bench.gpu import gpu_is_here, memory_row
     from paper_artifact.report.kit.published import published
@@ -185,7 +185,7 @@ def print_gpu(folder: Path, arguments: argparse.Namespace) -> None:
         )
 
 
-def print_peers(folder: Path, arguments: argparse.Namespace) -> None:
+def print_peers(folder: Path, arguments: Any) -> None:
     """Print differentiable diagrams beside other libraries'."""
     from paper_artifact.bench.peers import peer_rows
     from paper_artifact.bench.words_task import task_rows

@@ -1,15 +1,17 @@
-"""`python -m paper_artifact evaluate FILE --target SHAPE|MESH` or `--scene DIR`: a soup or mesh, measured."""
+"""`evaluate FILE --target SHAPE|MESH` or `--scene DIR`: a soup or mesh, measured."""
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from paper_artifact.cli._scene_options import add_reading_arguments, reading_of_run
+from paper_artifact.cli.options import Positional, Source, WrongUsage
+from paper_artifact.cli.output import next_command, to_string
+from paper_artifact.cli.reading import ReadingOptions
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
-from paper_artifact.files import write_json
+from paper_artifact.mesh import FEATURES
 
 if TYPE_CHECKING:
     from paper_artifact.frame import Frame
@@ -17,161 +19,131 @@ if TYPE_CHECKING:
     from paper_artifact.soup.state import Soup
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's options on `parser`."""
-    parser.add_argument(
-        "surface", type=Path, metavar="FILE", help="a trained soup (.npz) or any mesh file that trimesh reads"
-    )
-    parser.add_argument(
-        "--target",
-        metavar="SHAPE|MESH",
-        help="the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file "
-        "(without one, with --scene: what the soup shows by itself)",
-    )
-    parser.add_argument(
-        "--scene",
-        type=Path,
-        metavar="DIR",
-        help="a COLMAP scene: adds PSNR and SSIM on its held-out views (soups only); it is read as the run's "
-        "record beside the soup (../runs) has it, unless the next options are given",
-    )
-    add_reading_arguments(parser)
-    parser.add_argument(
-        "--supersample",
-        type=int,
-        default=1,
-        metavar="K",
-        help="K × K rays a pixel in the renders that --scene scores: photographs average over a pixel, one "
-        "ray does not (default: %(default)s, as in records)",
-    )
-    parser.add_argument(
-        "--samples",
-        type=int,
-        default=scores.SAMPLES,
-        help="surface samples of either side (default: %(default)s, as the paper)",
-    )
-    parser.add_argument(
-        "--dimension",
-        type=int,
-        choices=(0, 1, 2),
-        help="the dimension to judge in (default: the study's for the shape)",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")
-    parser.add_argument(
-        "--json", type=Path, metavar="OUT", help="also write everything to this file, with the longest bars"
-    )
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(ReadingOptions):
+    """Options of `evaluate`.
+
+    surface FILE: a trained soup (.npz) or any mesh file that trimesh reads
+    target SHAPE|MESH: the ground truth: an analytic shape, the key of a fetched mesh, or a mesh file
+        (without one, with --scene: what the soup shows by itself)
+    supersample K: K × K rays a pixel in the renders that --scene scores: photographs average over a pixel,
+        one ray does not (default: 1, as in records)
+    samples: surface samples of either side (default: {scores.SAMPLES}, as the paper)
+    dimension: the dimension to judge in: 0 components, 1 loops, 2 voids (default: the study's for the
+        shape)
+    seed: of the samples
+    json OUT: also write everything to this file, with the longest bars (-: to stdout)
+    """
+
+    surface: Positional[Source]
+    target: Source | None = None
+    supersample: Annotated[int, 1, 8] = 1
+    samples: Annotated[int, 4] = scores.SAMPLES
+    dimension: Literal[0, 1, 2] | None = None
+    seed: Annotated[int, 0] = 0
+    json: Path | None = None
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Evaluate and print a table. Returns 0; InputError goes to the caller."""
-    if arguments.samples < 4:
-        raise InputError(f"--samples must be at least 4, got {arguments.samples}")
-    if not 1 <= arguments.supersample <= 8:
-        raise InputError(f"--supersample must be a whole number from 1 to 8, got {arguments.supersample}")
-    if not arguments.surface.is_file():
-        raise InputError(f"no file at {arguments.surface}: give a trained soup (.npz) or a mesh")
+def evaluate(options: Evaluate) -> tuple[int, dict]:
+    """Evaluate and print a table. Returns 0 and what --json writes."""
+    is_soup, file = options.surface.endswith(".npz"), Path(options.surface)
+    if options.scene is not None and not is_soup:
+        raise WrongUsage(
+            f"{options.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)"
+        )
+    if options.target is None and (options.scene is None or not is_soup):
+        raise WrongUsage("give --target SHAPE|MESH, or --scene DIR for a soup of photographs")
+    settings = options.reading_of_run(file)
+    if not file.is_file():
+        raise InputError(f"no file at {options.surface}: give a trained soup (.npz) or a mesh")
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
     from paper_artifact.scene.find import find_mesh
 
-    is_soup = arguments.surface.suffix == ".npz"
-    if arguments.scene is not None and not is_soup:
-        raise InputError(
-            f"{arguments.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)"
-        )
-    if arguments.target is None and (arguments.scene is None or not is_soup):
-        raise InputError("give --target SHAPE|MESH, or --scene DIR for a soup of photographs")
-    truth = None if arguments.target is None else find_mesh(arguments.target)
-    settings = reading_of_run(arguments, arguments.surface)
-    draws = stream(arguments.seed, "evaluation samples")
-    images = None
+    truth = None if options.target is None else find_mesh(options.target)
+    draws = stream(options.seed, "evaluation samples")
+    asked = {"surface": options.surface, "samples": options.samples, "seed": options.seed}
+    images = {}
     if is_soup:
+        from paper_artifact.scene.load import load_scene
         from paper_artifact.soup.state import load_frame, load_soup
 
-        soup, frame = load_soup(arguments.surface), load_frame(arguments.surface)
-        if arguments.scene is not None:
-            from paper_artifact.scene.load import load_scene
-
-            scene = load_scene(arguments.scene, **settings)
-            images = _view_scores(soup, frame, scene, arguments.supersample)
+        soup, frame = load_soup(file), load_frame(file)
+        if options.scene is not None:
+            scene = load_scene(options.scene, **settings)
+            images = {"images": _view_scores(soup, frame, scene, options.supersample)}
         if truth is None:
-            result = _alone(soup, frame, scene, arguments) | {"images": images}
-            print(table_alone(result))
-            if arguments.json is not None:
-                write_json(arguments.json, result)
-            return 0
+            result = _alone(soup, frame, scene, options) | asked | images
+            print(_table_alone(result))
+            print(next_command("solidify", options.surface, "--scene", options.scene, "--out", "mesh.ply"))
+            return 0, result
         corners = frame.outward(soup.vertices.numpy())
-        samples = scores.soup_samples(corners, soup.corner_opacity(), arguments.samples, draws)
+        samples = scores.soup_samples(corners, soup.corner_opacity(), options.samples, draws)
     else:
-        mesh = load_mesh(arguments.surface)
-        samples = sample_surface(mesh.vertices, mesh.faces, arguments.samples, draws)[0]
+        mesh = load_mesh(file)
+        samples = sample_surface(mesh.vertices, mesh.faces, options.samples, draws)[0]
     assert truth is not None
-    target = scores.make_target(truth, arguments.samples, arguments.seed, arguments.dimension)
-    result = scores.evaluate_samples(samples, target) | {
-        "surface": str(arguments.surface),
-        "target": target.name,
-        "dimension": target.dimension,
-        "target_counts": list(target.counts),
-        "samples": arguments.samples,
-        "seed": arguments.seed,
-    }
-    if images is not None:
-        result["images"] = images
-    print(table(result))
-    if arguments.json is not None:
-        write_json(arguments.json, result)
-    return 0
+    target = scores.make_target(truth, options.samples, options.seed, options.dimension)
+    about = {"target": target.name, "dimension": target.dimension, "target_counts": list(target.counts)}
+    result = scores.evaluate_samples(samples, target) | asked | about | images
+    print(_table(result))
+    if is_soup:
+        print(next_command("export", options.surface, "--target", options.target))
+    return 0, result
 
 
-def table(result: dict) -> str:
-    """Return the lines that the verb prints for its result."""
+def _table(result: dict) -> str:
+    """Return what the verb prints of a soup or mesh beside a ground truth."""
+    rows = [
+        (
+            more,
+            f"{result['bottleneck'][dimension]:.5f}",
+            result["counts"][dimension],
+            result["target_counts"][dimension],
+            "<- discriminating" if dimension == result["dimension"] else "",
+        )
+        for dimension, (_, more) in enumerate(FEATURES)
+    ]
+    heads = ("class", "bottleneck", "significant bars", "of the target", "")
     lines = [
         f"{result['surface']} against {result['target']}, {result['samples']} samples a side, "
         f"seed {result['seed']}",
-        "dimension   bottleneck   significant bars   of the target",
-    ]
-    for dimension in range(3):
-        mark = "  <- discriminating" if dimension == result["dimension"] else ""
-        lines.append(
-            f"H{dimension}          {result['bottleneck'][dimension]:.5f}      "
-            f"{result['counts'][dimension]:<18} {result['target_counts'][dimension]}{mark}"
-        )
-    lines.append(
-        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only)"
-    )
-    lines.append(
+        to_string(heads, rows),
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only: "
+        "there is one component more than bars)",
         f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; "
-        f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %"
-    )
-    if "images" in result:
-        lines.append(images_line(result["images"]))
-    return "\n".join(lines)
+        f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %",
+    ]
+    return "\n".join([*lines, *_image_lines(result)])
 
 
-def table_alone(result: dict) -> str:
-    """Return the lines that the verb prints of a soup without a ground truth."""
+def _table_alone(result: dict) -> str:
+    """Return what the verb prints of a soup without a ground truth."""
+    rows = [
+        (more, count, "  ".join(f"{margin:.2f}" for margin in margins[: max(count + 2, 3)]))
+        for (_, more), count, margins in zip(FEATURES, result["counts"], result["margins"], strict=True)
+    ]
+    heads = ("class", "significant bars", "the longest bars / floor (a bar counts above 1)")
     lines = [
         f"{result['surface']}, no ground truth, {result['samples']} samples, seed {result['seed']}",
-        "dimension   significant bars   the longest bars / floor (a bar counts above 1)",
+        to_string(heads, rows),
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the SfM cloud's diagonal; finite bars "
+        "only: there is one component more than bars)",
     ]
-    for dimension, (count, margins) in enumerate(zip(result["counts"], result["margins"], strict=True)):
-        longest = "  ".join(f"{margin:.2f}" for margin in margins[: max(count + 2, 3)])
-        lines.append(f"H{dimension}          {count:<18} {longest}")
-    lines.append(
-        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the SfM cloud's diagonal, finite bars "
-        "only: one component more than H0 counts)"
-    )
-    return "\n".join([*lines, images_line(result["images"])])
+    return "\n".join([*lines, *_image_lines(result)])
 
 
-def images_line(images: dict) -> str:
-    """Return the line of an image score and of which views."""
+def _image_lines(result: dict) -> list[str]:
+    """Return the line of the image scores and of which views, none where no image was scored."""
+    if "images" not in result:
+        return []
+    images = result["images"]
     rays = images["supersample"] ** 2
-    return (
+    return [
         f"{images['of']} views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
         f"({len(images['views'])} views, {rays} ray{'s' if rays > 1 else ''} a pixel)"
-    )
+    ]
 
 
 def _view_scores(soup: Soup, frame: Frame, scene: Scene, supersample: int) -> dict:
@@ -185,7 +157,7 @@ def _view_scores(soup: Soup, frame: Frame, scene: Scene, supersample: int) -> di
     return found | {"of": which, "supersample": supersample}
 
 
-def _alone(soup: Soup, frame: Frame, scene: Scene, arguments: argparse.Namespace) -> dict:
+def _alone(soup: Soup, frame: Frame, scene: Scene, options: Evaluate) -> dict:
     """Return what a soup shows by itself, in units of the scene's cloud."""
     from paper_artifact.soup.state import reframed
     from paper_artifact.topology.statement import frame_diagonal
@@ -195,9 +167,7 @@ def _alone(soup: Soup, frame: Frame, scene: Scene, arguments: argparse.Namespace
         moved.vertices.numpy(),
         moved.corner_opacity(),
         frame_diagonal(scene.points),
-        arguments.samples,
-        arguments.seed,
+        options.samples,
+        options.seed,
     )
-    del shown["step"]
-    named = {"surface": str(arguments.surface), "samples": arguments.samples, "seed": arguments.seed}
-    return shown | named
+    return {name: value for name, value in shown.items() if name != "step"}

@@ -13,8 +13,14 @@ import trimesh
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.export.models import glb_bytes, ply_bytes, srgb_to_linear
-from paper_artifact.export.triangles import THRESHOLD, Triangles, soup_triangles
+from paper_artifact.export.models import (
+    THRESHOLD,
+    Triangles,
+    glb_bytes,
+    ply_bytes,
+    soup_triangles,
+    srgb_to_linear,
+)
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.ingest.crossings import retract
 from paper_artifact.ingest.solidify import (

@@ -1,20 +1,81 @@
-"""A 3-D view in one HTML file: WebGL, the triangles inside as base64, no network, no library."""
+"""A 3-D view in one HTML file: WebGL, the triangles inside as base64, no network, no library; and where it is
+first seen from."""
 
 from __future__ import annotations
 
 import base64
-import html
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from paper_artifact.catalogue import Shape
 from paper_artifact.errors import InputError
-from paper_artifact.export.triangles import Triangles
-from paper_artifact.export.viewer_page import PAGE
-from paper_artifact.export.viewpoint import Viewpoint, framing
+from paper_artifact.export.models import Triangles
 from paper_artifact.files import write_text
+from paper_artifact.pages import render
+from paper_artifact.scene.load import Scene
+
+Vector = tuple[float, float, float]
+DISTANCE = 2.6  # of a camera that frames everything, in bounding radii
+FROM, UP = (0.78, 0.53, 0.34), (0.0, 0.0, 1.0)  # where nothing else is known: towards the camera, upwards
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera position of the viewer, world units."""
+
+    eye: Vector  # where the camera is
+    target: Vector  # what it looks at, and what the view turns around
+    up: Vector  # upwards in the picture, and the axis that the view turns about; any length
+
+
+def framing(points: np.ndarray, direction: Sequence[float] = FROM, up: Sequence[float] = UP) -> Viewpoint:
+    """Return the viewpoint that frames the points (n,3), world units, seen from `direction` (towards the
+    camera, any length)."""
+    low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
+    towards = np.asarray(direction, dtype=float)
+    if tuple(direction) == FROM and up[1] == 1:
+        towards = towards[[1, 2, 0]]  # from above one side, too, where y is upwards
+    return Viewpoint(
+        _vector(centre + DISTANCE * radius * towards / np.linalg.norm(towards)), _vector(centre), _vector(up)
+    )
+
+
+def up_of(file: str | None) -> Vector:
+    """Return what is upwards in a mesh of that file name: y for the formats of modelling programs (OBJ, GLB,
+    glTF), else z. The view has a button for what is otherwise."""
+    return (0.0, 1.0, 0.0) if str(file).lower().endswith((".obj", ".glb", ".gltf")) else UP
+
+
+def shape_viewpoint(shape: Shape, points: np.ndarray) -> Viewpoint:
+    """Return the viewpoint that frames the points as the study's pictures of that shape do."""
+    return framing(points, shape.view, shape.up)
+
+
+def scene_viewpoint(scene: Scene) -> Viewpoint:
+    """Return the scene's first training camera, turning around the point of its optical axis at the median
+    depth of the SfM cloud, about the mean of all cameras' upward directions."""
+    forward = scene.world_to_clip[:, 3, :3].astype(float)
+    down = scene.world_to_clip[:, 1, :3].astype(float)
+    down -= (down * forward).sum(axis=1, keepdims=True) * forward  # the principal point's share
+    up = -(down / np.linalg.norm(down, axis=1, keepdims=True)).mean(axis=0)
+    first = int(scene.train[0])
+    eye, ahead = scene.camera_centres[first].astype(float), forward[first]
+    depths = (scene.points - eye) @ ahead
+    depth = float(np.median(depths[depths > 0])) if (depths > 0).any() else scene.radius
+    if np.linalg.norm(up) < 1e-6 or np.linalg.norm(np.cross(up, ahead)) < 1e-6:  # no common upwards
+        up = -down[first]
+    return Viewpoint(_vector(eye), _vector(eye + depth * ahead), _vector(up / np.linalg.norm(up)))
+
+
+def _vector(values: Sequence[float] | np.ndarray) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
 
 MOST_TRIANGLES = 400_000  # about 25 MB of HTML
 
@@ -78,8 +139,7 @@ def html_page(
     }
     # "<" escaped: no name can end the script element.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    link = "" if back is None else f'<a href="{html.escape(back[0])}">{html.escape(back[1])}</a>'
-    return PAGE.replace("@BACK@", link).replace("@TITLE@", html.escape(title)).replace("@DATA@", text)
+    return render("viewer.html", title=title, back=back, data=text)
 
 
 def _base64(array: np.ndarray) -> str:

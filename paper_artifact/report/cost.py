@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from paper_artifact.bench.persistence import CLOUDS as DRAWN
 from paper_artifact.bench.persistence import growth_text, persistence_rows
 from paper_artifact.catalogue import BASELINE, LOSS
-from paper_artifact.export.figures import COLUMN, FAINT, INK, new_figure
+from paper_artifact.plot import COLUMN, FAINT, INK, new_figure
 from paper_artifact.record.environment import host, packages
 from paper_artifact.report.kit.figures import SERIES, label_axis, legend_below, plain_log
 from paper_artifact.report.kit.published import published

@@ -20,7 +20,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from paper_artifact.alpha import alpha_diagrams
 from paper_artifact.bench.words_task import punctured_sphere, slab
 from paper_artifact.errors import InputError
-from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit.figures import draw_cloud
 from paper_artifact.topology import BettiLoss

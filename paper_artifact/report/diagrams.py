@@ -17,9 +17,9 @@ from paper_artifact.catalogue import in_order, study_config
 from paper_artifact.config import RunConfig
 from paper_artifact.evaluate.diagram import diagram_of
 from paper_artifact.evaluate.scores import Target, soup_samples
-from paper_artifact.export.figures import PAGE, draw_diagram, new_figure
 from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import make_run_term, prepare_scene
+from paper_artifact.plot import PAGE, draw_diagram, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit.figures import diagram_handles, legend_below
 from paper_artifact.report.kit.records import target_of

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from paper_artifact.catalogue import colour_of, shape_row
 from paper_artifact.evaluate.diagram import diagram_of, significant_counts
 from paper_artifact.evaluate.scores import SAMPLES, soup_samples
-from paper_artifact.export.figures import PAGE, new_figure
 from paper_artifact.export.flat import render_flat
-from paper_artifact.export.triangles import THRESHOLD, soup_triangles
+from paper_artifact.export.models import THRESHOLD, soup_triangles
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import image_axis

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from paper_artifact.catalogue import LOSS, colour_of
-from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.report.kit.figures import (
     cloud_limits,
     draw_cloud,

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from scipy.optimize import linear_sum_assignment
 
 from paper_artifact.catalogue import colour_of, in_order
-from paper_artifact.export.figures import FAINT, INK, PAGE, new_figure
+from paper_artifact.plot import FAINT, INK, PAGE, new_figure
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import label_axis, legend_below
 from paper_artifact.report.kit.records import Collected, target_of

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from paper_artifact.alpha.gabriel import passes_gate
 from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.catalogue import LOSS, SHAPES
-from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import label_axis, legend_below, mark_value

@@ -18,7 +18,7 @@ from paper_artifact.bench.run import run_row
 from paper_artifact.bench.speed import SIZES, TERMS, TRIANGLES, fit_law, law_columns, step_rows
 from paper_artifact.catalogue import BASELINE, LOSS, study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
-from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.record.environment import host, packages
 from paper_artifact.report.kit.figures import MARKS, label_axis, mark_value, plain_log
 from paper_artifact.report.kit.published import published

@@ -21,8 +21,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from paper_artifact.catalogue import colour_of, in_order, marker_of, tag_of
-from paper_artifact.export.figures import AIM, FAINT, INK, PAGE, new_figure, svg
 from paper_artifact.files import FIGURES_VARIABLE, write_bytes
+from paper_artifact.plot import AIM, FAINT, INK, PAGE, new_figure, svg
 
 BROKEN = ("--", ":", "-.")  # lines of a condition's changed settings, in turn
 SERIES = (
@@ -211,7 +211,7 @@ def draw_cloud(
 
 
 def diagram_handles(target: str = "target's significant bar") -> list[Artist]:
-    """Return the handles of a legend for figures of `export.figures.draw_diagram`."""
+    """Return the handles of a legend for figures of `plot.draw_diagram`."""
     dot: Mapping[str, Any] = {"linestyle": "none", "markeredgewidth": 0}
     return [
         Line2D([], [], marker="o", markersize=4.5, color=INK, label="significant bar", **dot),

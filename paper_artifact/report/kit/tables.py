@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from paper_artifact.catalogue import in_order
-from paper_artifact.export.figures import PAGE, new_figure
+from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import (
     draw_bands,

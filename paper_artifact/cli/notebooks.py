@@ -1,0 +1,116 @@
+"""What is made of the records: `run-all` executes the notebooks, `book` makes pages of them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from paper_artifact.cli.bars import bar
+from paper_artifact.cli.options import Options
+from paper_artifact.cli.output import next_command
+from paper_artifact.files import RESULTS, write_text
+from paper_artifact.notebooks import (
+    EXECUTED,
+    FIGURES,
+    NOTEBOOKS,
+    PROFILES,
+    execute,
+    execution_table,
+    notebook_files,
+    own_kernel,
+)
+
+PARTS = 5  # that `book.build.build` names
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunAll(Options):
+    """Options of `run-all`.
+
+    profile: recorded: read committed records, train only what is short (default); full: train everything
+    only NAME: only the notebooks whose name starts with NAME; may be given several times
+    refresh: also write outputs and counts back into the notebooks, without times and paths
+    notebooks DIR: where they are
+    out DIR: where executed copies go
+    figures DIR: where the notebooks' figures go as SVG
+    """
+
+    profile: Literal[*PROFILES] = PROFILES[0]
+    only: list[str] = field(default_factory=list)
+    refresh: bool = False
+    notebooks: Path = NOTEBOOKS
+    out: Path = EXECUTED
+    figures: Path = FIGURES
+
+
+def run_all(options: RunAll) -> int:
+    """Execute them all, the ones after a failing one too. Returns 0, or 1 if one failed."""
+    files = notebook_files(options.notebooks, options.only)
+    executions = []
+    try:
+        with own_kernel(), bar(files, desc="run-all", unit="notebook", disable=options.quiet) as line:
+            for path in line:
+                line.set_postfix_str(path.stem)
+                executions.append(
+                    execute(
+                        path,
+                        options.profile,
+                        executed=options.out,
+                        figures=options.figures,
+                        refresh=options.refresh,
+                        quiet=options.quiet,
+                    )
+                )
+    finally:  # an interrupted run shows what it did finish
+        print(execution_table(executions))
+    failed = [each.name for each in executions if each.error]
+    print(f"executed copies: {options.out}; figures: {options.figures}")
+    if failed:
+        print(
+            f"paper_artifact: {len(failed)} of {len(executions)} notebooks failed: {', '.join(failed)}",
+            file=sys.stderr,
+        )
+        return 1
+    print(next_command("book"))
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Book(Options):
+    """Options of `book`.
+
+    out DIR: its folder
+    notebooks DIR: where they are
+    executed DIR: executed copies, taken where they have a notebook's code
+    runs DIR: the records (default: results/runs; of `run-all --profile full`: results/retrained/runs)
+    refresh: also write the README's picture, results/main_result.svg, from the committed records
+    """
+
+    out: Path = RESULTS / "book"
+    notebooks: Path = NOTEBOOKS
+    executed: Path = EXECUTED
+    runs: Path = RESULTS / "runs"
+    refresh: bool = False
+
+
+def book(options: Book) -> int:
+    """Build the book and print its path and the verdicts. Returns 0."""
+    from paper_artifact import results
+    from paper_artifact.book.build import build
+    from paper_artifact.book.main_result import PICTURE, main_runs, picture_svg
+
+    if options.refresh:
+        write_text(PICTURE, picture_svg(main_runs(results.load())))
+    with bar(total=PARTS, desc="book", unit="part", disable=options.quiet) as line:
+
+        def report(part: str) -> None:
+            line.set_postfix_str(part)
+            line.update()
+
+        found = build(options.out, options.notebooks, options.executed, options.runs, report)
+    for item in found:
+        print(f"{item.name:<9} {item.word} ({item.tally})")
+    print(f"book: {options.out / 'index.html'}")
+    return 0

@@ -1,0 +1,180 @@
+"""A verb's options are the fields of a dataclass; its docstring says what each is for.
+
+    @dataclass(frozen=True, kw_only=True)
+    class Export(Options):
+        \"\"\"Options of `export`.
+
+        soup SOUP: a trained soup
+        size: side in pixels
+        \"\"\"
+
+        soup: Positional[Source]
+        size: Annotated[int, 16, 4096] = 400        # --size, from 16 to 4096
+
+A type decides what is read: bool is a switch, tuple[int, ...] takes several words, list[str] may be given
+several times, `X | None` may be left out, a Literal has choices. A capital word is how the help names the
+value; texts may name constants of the module in braces. Wrong usage, here or in a verb, is `WrongUsage`, exit
+code 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import math
+import os
+import re
+import sys
+import types
+import typing
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal, NewType, TypeVar
+
+from paper_artifact.errors import InputError
+from paper_artifact.files import REPOSITORY
+
+T = TypeVar("T")
+POSITIONAL = "positional"
+Positional = Annotated[T, POSITIONAL]
+Source = NewType("Source", str)  # a file or folder to read, or a name of the catalogue
+LONGEST_NAME, LONGEST_PATH = 255, 4000  # bytes that file systems take
+SPARE = 35  # bytes that temporary and derived files add to a name
+
+
+class WrongUsage(InputError):
+    """An InputError that the command line alone is to blame for: exit code 2."""
+
+
+@contextmanager
+def usage_checked() -> Iterator[None]:
+    """Raise every InputError of the block as WrongUsage: nothing but arguments is looked at there."""
+    try:
+        yield
+    except InputError as error:
+        raise WrongUsage(str(error)) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What every verb takes.
+
+    quiet: no progress bar; without a terminal there is none anyway
+    """
+
+    quiet: bool = False
+
+
+class _Type:
+    """A field's type, taken apart."""
+
+    def __init__(self, hint: Any) -> None:
+        self.limits: tuple = ()  # least, and largest value
+        self.positional = False
+        while typing.get_origin(hint) in (Annotated, types.UnionType, typing.Union):
+            if typing.get_origin(hint) is Annotated:
+                hint, *more = typing.get_args(hint)
+                self.positional |= POSITIONAL in more
+                numbers = [each for each in more if each != POSITIONAL]
+                self.limits = (*numbers, math.inf)[:2] if numbers else self.limits
+            else:
+                hint = next(each for each in typing.get_args(hint) if each is not type(None))
+        self.container = typing.get_origin(hint) if typing.get_origin(hint) in (list, tuple) else None
+        item = typing.get_args(hint)[0] if self.container else hint
+        self.choices = typing.get_args(item) if typing.get_origin(item) is Literal else None
+        self.item: Any = type(self.choices[0]) if self.choices else item
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
+    """Declare an option of `parser` for each field of the dataclass `kind`."""
+    hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
+    for each in fields(kind):
+        about, (name, metavar, text) = _Type(hints[each.name]), texts[each.name]
+        default = None if each.default is MISSING else each.default
+        required = each.default is MISSING and each.default_factory is MISSING
+        if "(default" not in text and default not in (None, False, ()):
+            text += f" (default: {_shown(default)})"
+        settings: dict[str, Any] = {"help": text.replace("%", "%%")}
+        if about.item is bool:
+            settings |= {"action": "store_true"}
+        else:
+            settings |= {"type": str if about.item is Source else about.item, "metavar": metavar}
+            settings |= {"default": default, "choices": about.choices}
+        if about.container is list:
+            settings |= {"action": "append", "default": []}
+        if about.positional:
+            settings["nargs"] = "*" if about.container else None if required else "?"
+            action = parser.add_argument(each.name, **settings)
+        else:
+            settings |= {"nargs": "+"} if about.container is tuple else {}
+            settings |= {"required": required} if about.item is not bool else {}
+            action = parser.add_argument(f"--{name}", dest=each.name, **settings)
+        if about.item in (str, Source):
+            action.completer = _proposals  # type: ignore[attr-defined]
+
+
+def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
+    """Return the options of `kind` that argparse found. Raises WrongUsage for a number out of range and for
+    a name that no file can have."""
+    values, hints, texts = {}, typing.get_type_hints(kind, include_extras=True), _texts(kind)
+    for each in fields(kind):
+        value, about = getattr(namespace, each.name), _Type(hints[each.name])
+        flag = each.name if about.positional else f"--{texts[each.name][0]}"
+        for item in value if isinstance(value, (list, tuple)) else [] if value is None else [value]:
+            if about.limits and not about.limits[0] <= item <= about.limits[1]:
+                low, high = about.limits
+                limits = f"at least {low}" if high == math.inf else f"from {low} to {high}"
+                raise WrongUsage(f"{flag} must be {limits}, got {item}")
+            if about.item in (Source, Path):
+                _check_length(flag, os.fsencode(item), SPARE if about.item is Path else 0)
+        values[each.name] = tuple(value) if about.container is tuple else value
+    values["quiet"] = values["quiet"] or not sys.stderr.isatty()
+    return kind(**values)
+
+
+def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:
+    """Return {field: (option's name, metavar, help)} of a dataclass and its bases, from their docstrings."""
+    found: dict[str, tuple[str, str | None, str]] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        constants = {
+            name: ", ".join(map(str, value)) if isinstance(value, (tuple, list, dict)) else value
+            for name, value in vars(sys.modules[base.__module__]).items()
+        }
+        entries = re.split(r"(?m)^(\w+)(?:/(\w+))?(?: (\S+))?: ", inspect.getdoc(base) or "")[1:]
+        for name, other, metavar, text in zip(*(entries[place::4] for place in range(4)), strict=True):
+            said = " ".join(text.split()).format_map(constants)
+            found[name] = ((other or name).replace("_", "-"), metavar, said)
+    return found
+
+
+def _check_length(flag: str, name: bytes, spare: int) -> None:
+    longest = max(map(len, name.split(b"/")))
+    if longest > LONGEST_NAME - spare or len(name) > LONGEST_PATH:
+        raise WrongUsage(
+            f"{flag} names a file by {len(name)} bytes, {longest} of them in one name, which is too long for "
+            f"a file system (at most {LONGEST_NAME - spare} in one name); give a shorter one"
+        )
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    if isinstance(value, Path) and value.is_relative_to(REPOSITORY):
+        return str(value.relative_to(REPOSITORY))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _proposals(prefix: str, action: argparse.Action, **context: Any) -> list[str]:
+    """Return what argcomplete proposes for an option: names of the catalogue, and files."""
+    from argcomplete.completers import FilesCompleter
+
+    from paper_artifact.catalogue import CONDITIONS, SHAPES
+    from paper_artifact.study.studies import STUDIES
+
+    shapes = [each.name for each in SHAPES]
+    names = {"condition": [each.name for each in CONDITIONS], "study": [*STUDIES]}
+    names |= dict.fromkeys(("shape", "mesh", "target", "raw", "key"), shapes)
+    known = names.get(action.dest, [])
+    return [name for name in known if name.startswith(prefix)] + list(FilesCompleter()(prefix))

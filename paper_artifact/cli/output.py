@@ -1,0 +1,58 @@
+"""What the command line prints, on any terminal: tables and next commands."""
+
+from __future__ import annotations
+
+import codecs
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+# What a terminal that does not know the sign gets in its place.
+PLAIN = {
+    "×": "x", "–": "-", "—": "-", "…": "...", "←": "<-", "→": "->", "·": "*", "≥": ">=", "≤": "<=", "±": "+-",
+    "α": "alpha", "β": "beta", "ε": "eps", "λ": "lambda", "ρ": "rho", "χ": "chi", "σ": "sigma", "′": "'",
+}  # fmt: skip
+
+
+def prepare_streams() -> None:
+    """Make stdout and stderr take every text: a closed one takes it to nowhere, one of another encoding
+    than UTF-8 gets plain letters for the signs that it lacks."""
+    codecs.register_error("plain", _plain)
+    for name in ("stdout", "stderr"):
+        stream: Any = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, open to the end
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="plain")
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    texts = (PLAIN.get(each) or each.encode("ascii", "backslashreplace").decode() for each in letters)
+    return "".join(texts), error.end
+
+
+def to_string(heads: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> str:
+    """Return a table as aligned text, a line a row below the heads; columns without a text are set right."""
+    cells = [[str(cell) for cell in row] for row in (heads, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    right = [
+        bool(rows) and not any(isinstance(row[place], str) for row in rows) for place in range(len(heads))
+    ]
+    return "\n".join(
+        indent
+        + "  ".join(
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(row, widths, right, strict=True)
+        ).rstrip()
+        for row in cells
+    )
+
+
+def next_command(*words: object) -> str:
+    """Return the line `next: python -m paper_artifact …`, its words quoted for the shell."""
+    return f"next: python -m paper_artifact {shlex.join(map(str, words))}"

@@ -1,0 +1,238 @@
+"""One closed, certified surface: `ingest` makes it of raw polygons, `solidify` of a trained soup."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+
+from paper_artifact.certify.certificate import certify_mesh
+from paper_artifact.cli.bars import bar, stage_bar
+from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, usage_checked
+from paper_artifact.cli.output import next_command, to_string
+from paper_artifact.errors import InputError
+from paper_artifact.export.solid import (
+    SoupSolid,
+    check_format,
+    distances_to,
+    placed,
+    solidify_soup,
+    write_solid,
+)
+from paper_artifact.files import write_text
+from paper_artifact.frame import Frame
+from paper_artifact.ingest import hot_pot
+from paper_artifact.ingest import solidify as shells
+from paper_artifact.ingest.solidify import CELLS, OFFSETS, check_ladder, wanted_of, write_shell
+from paper_artifact.ingest.solidify import check_format as check_shell_format
+from paper_artifact.mesh import betti_text
+from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.subject import GROUND, RADIUS, subject_of_scene
+from paper_artifact.soup.state import Soup, load_frame, load_soup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ingest(Options):
+    """Options of `ingest`.
+
+    raw: a mesh file, the key of an external mesh, or 'pot' for the procedural hot pot with a flue
+    out SHELL: the shell: .ply, .obj or .stl
+    offset: ε as a fraction of the bounding-box diagonal; gaps below 2ε close (default: {shells.OFFSET:g};
+        pot: its own)
+    cells: grid cells per ε (default: {shells.CELLS:g}; pot: its own)
+    json FILE: also write both certificates and the numbers as JSON (-: to stdout)
+    raw_obj FILE: pot only: also write the raw polygons as OBJ
+    """
+
+    raw: Positional[Source]
+    out: Path
+    offset: float | None = None
+    cells: float | None = None
+    json: Path | None = None
+    raw_obj: Path | None = None
+
+
+def ingest(options: Ingest) -> tuple[int, dict]:
+    """Ingest, certify, write and print. Returns 0 and what --json writes."""
+    pot = hot_pot.raw_pot() if options.raw == hot_pot.NAME else None
+    with usage_checked():
+        check_shell_format(options.out)
+        if options.raw_obj is not None and pot is None:
+            raise WrongUsage("--raw-obj writes the procedural pot's polygons; it goes with 'pot' alone")
+    mesh = find_mesh(options.raw, welded=False) if pot is None else pot.mesh()
+    offset, cells = (shells.OFFSET, shells.CELLS) if pot is None else (hot_pot.OFFSET, hot_pot.CELLS)
+    with stage_bar(options.raw, options.quiet) as stage:
+        stage("distances and shell")
+        solid = shells.solidify(
+            mesh,
+            offset if options.offset is None else options.offset,
+            cells if options.cells is None else options.cells,
+        )
+    certificate = write_shell(options.out, solid.shell)
+    if options.raw_obj is not None and pot is not None:
+        write_text(options.raw_obj, pot.obj())
+    raw = solid.raw
+    reasons = f" ({'; '.join(raw.reasons)})" if raw.reasons else ""
+    print(
+        f"{mesh.name}: raw {raw.verdict}{reasons}, {len(raw.components)} components after the weld\n"
+        f"  offset   ε = {solid.offset:.6g}, cell {solid.cell:.6g}, grid {' × '.join(map(str, solid.grid))}\n"
+        f"  pockets  {solid.pockets} enclosed, dropped\n"
+        f"  shell    {certificate.verdict}: {certificate.kind}, {betti_text(certificate.betti)}, "
+        f"{certificate.vertices} vertices, {certificate.faces} triangles\n"
+        f"  sha256   {solid.sha256} (points and triangles)\n"
+        f"{options.out}"
+    )
+    print(next_command("audit", options.out))
+    return 0, solid.to_json()
+
+
+OF_PHOTOGRAPHS = "of a soup of photographs, only what they are of"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solidify(Options):
+    """Options of `solidify`.
+
+    soup SOUP: a trained soup, results/soups/<run>.npz
+    out MESH: the solid: .ply or .glb, colours per vertex
+    betti B0,B1,B2: wanted components, loops, voids: 1,2,1 for a torus, 1,0,0 for an open bowl (its solid is
+        a thick shell); default: the target's, without one the numbers that last over most offsets
+    offsets ε,ε…: offsets to try, as fractions of the soup's diagonal (default: .004 to .02 in eight steps)
+    cells: grid cells per offset
+    target SHAPE|MESH: a ground truth (shape, key of a fetched mesh, or file): its certificate says what is
+        wanted, and the distance to it is printed
+    scene DIR: the scene the soup was trained on: keeps what lies in the ball that all cameras look at,
+        above the plane that most of the cloud lies on
+    radius R: of the ball, in half widths of the picture there (default: {RADIUS:g})
+    ground H: what lies lower than this above the plane is taken away, in the same unit; 0 keeps the ground
+        (default: {GROUND:g})
+    json FILE: also write offsets, checks, certificate, distance as JSON (-: to stdout)
+    """
+
+    soup: Positional[Source]
+    out: Path
+    betti: str | None = None
+    offsets: str | None = None
+    cells: float = CELLS
+    target: Source | None = None
+    scene: Source | None = None
+    radius: float | None = None
+    ground: float | None = None
+    json: Path | None = None
+
+
+def solidify(options: Solidify) -> tuple[int, dict]:
+    """Write the solid and print what every offset gives. Returns 0, or 1 when no offset gives what is wanted,
+    and what --json writes."""
+    with usage_checked():
+        check_format(options.out)
+        asked = OFFSETS if options.offsets is None else _numbers(options.offsets, float, "--offsets")
+        offsets = check_ladder(asked, options.cells)
+        betti = None if options.betti is None else _numbers(options.betti, int, "--betti")
+        if betti is not None:
+            wanted_of(betti)
+        if options.scene is None and (options.radius is not None or options.ground is not None):
+            raise WrongUsage("--radius and --ground belong to --scene DIR, whose cameras give their unit")
+    file = Path(options.soup)
+    soup, frame = load_soup(file), load_frame(file)
+    if options.scene is not None:
+        soup = _of_the_subject(soup, frame, options)
+    target = None if options.target is None else find_mesh(options.target)
+    if target is not None and betti is None:
+        betti = certify_mesh(target, with_boundary=True).betti
+    with bar(total=len(offsets), unit="ε", desc="offsets", disable=options.quiet) as line:
+        solid = solidify_soup(
+            soup, betti, offsets, options.cells, file.stem, lambda rung: line.update() and None, frame=frame
+        )
+    report = solid.to_json()
+    print(offset_table(solid))
+    if solid.mesh is None:
+        return 1, report
+    certificate = write_solid(options.out, solid)
+    meeting = {0: "no triangle meets another", None: "whether triangles meet is unknown"}
+    print(
+        f"{certificate.verdict}: {certificate.kind}, {betti_text(certificate.betti)}, "
+        f"{certificate.vertices} vertices, {certificate.faces} triangles; "
+        + meeting.get(solid.crossings, f"{solid.crossings} triangles may meet")
+    )
+    if target is not None:
+        report["distance"] = distances_to(placed(solid.mesh, frame), target)
+        print(
+            f"to {target.name}: Chamfer {100 * report['distance']['chamfer']:.3f} %, "
+            f"Hausdorff95 {100 * report['distance']['hausdorff95']:.3f} % of its diagonal"
+        )
+    print(options.out)
+    print(next_command("certify", options.out, "--closed"))
+    return 0, report
+
+
+def _of_the_subject(soup: Soup, frame: Frame, options: Solidify) -> Soup:
+    """Return the triangles whose middle belongs to what the scene's cameras look at, and say how many."""
+    subject = subject_of_scene(
+        options.scene,
+        RADIUS if options.radius is None else options.radius,
+        GROUND if options.ground is None else options.ground,
+    )
+    kept = subject.holds(frame.outward(soup.vertices.numpy()).mean(1))
+    ground = "with the ground" if subject.lowest == float("-inf") else "without the ground"
+    print(f"{kept.sum()} of {len(kept)} triangles are of what the cameras look at, {ground}")
+    if not kept.any():
+        raise InputError(
+            f"no triangle of {options.soup} lies where the cameras of {options.scene} look: is it the scene "
+            "it was trained on? --radius widens the ball, --ground 0 keeps the ground"
+        )
+    return soup.select(torch.from_numpy(kept.nonzero()[0]))
+
+
+def offset_table(solid: SoupSolid) -> str:
+    """Return what every offset gives, a line each, and the choice in a sentence."""
+    rows = [
+        (
+            f"{rung.offset:g}",
+            *rung.betti,
+            rung.genus,
+            f"{rung.inside:.2f}",
+            rung.triangles,
+            "← taken" if rung is solid.rung else "",
+        )
+        for rung in solid.rungs
+    ]
+    heads = ("ε / D", "components", "loops", "voids", "genus", "inside", "triangles", "")
+    kind = "a body" if solid.wanted.body else "a thick shell around an open surface"
+    text = f"{betti_text(solid.wanted.betti)}, {kind}"
+    if solid.rung is None:
+        tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
+        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train further"
+    elif solid.stated:
+        said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}"
+    elif sum(rung.betti == solid.wanted.betti for rung in solid.rungs) == 1:
+        said = (
+            f"nothing was wanted, and no Betti numbers last over two offsets: ε = {solid.rung.offset:g} D is "
+            f"taken; {text}, says nothing of what was photographed"
+        )
+    else:
+        said = f"nothing was wanted; {text}, lasts longest, from ε = {solid.rung.offset:g} D on"
+    return f"{to_string(heads, rows)}\n{said}"
+
+
+def _others(solid: SoupSolid) -> list[float]:
+    """Return offsets to try next: between two that have more and fewer handles than wanted, else larger
+    ones."""
+    wanted = solid.wanted.betti[1] // 2
+    for finer, coarser in pairwise(solid.rungs):
+        if finer.genus > wanted > coarser.genus:
+            step = (coarser.offset - finer.offset) / 5
+            return [finer.offset + step * part for part in range(1, 5)]
+    return [solid.rungs[-1].offset * factor for factor in (1.25, 1.5, 2, 2.5, 3)]
+
+
+def _numbers(text: str, kind: type, name: str) -> tuple:
+    try:
+        return tuple(kind(word) for word in text.split(","))
+    except ValueError:
+        example = "1,2,1" if kind is int else "0.006,0.008,0.01"
+        raise WrongUsage(
+            f"{name} takes numbers with commas between, such as {example}; got {text!r}"
+        ) from None
