@@ -131,7 +131,7 @@ def test_html_holds_the_triangles_and_asks_nothing_of_the_network(tmp_path):
     np.testing.assert_array_equal(colours, np.rint(shown.colours * 255))
     assert data["radius"] > 0
     linked = html_page({"soup": triangles}, "t", back=('../a"b.html', "← <back>"))
-    assert '<a href="../a&quot;b.html">← &lt;back&gt;</a>' in linked
+    assert '<a href="../a&#34;b.html">← &lt;back&gt;</a>' in linked
 
 
 def test_empty_or_diverged_triangles_are_refused(tmp_path):

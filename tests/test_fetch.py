@@ -265,7 +265,7 @@ def test_damaged_table(tmp_path, text, words):
 def test_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.undo()  # the real table from here on
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(tmp_path))
-    assert main(["fetch", "spott"]) == 1
+    assert main(["fetch", "spott"]) == 2
     assert "no mesh is called 'spott'; known are spot" in capsys.readouterr().err
     assert main(["fetch", "spot", "cow", "--out", str(tmp_path / "out"), "--quiet"]) == 1
     error = capsys.readouterr().err

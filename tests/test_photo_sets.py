@@ -41,7 +41,7 @@ def test_a_set_comes_whole_or_says_what_is_missing(tmp_path, monkeypatch, capsys
         "b.png": b"second",
     }
     assert main(words) == 0 and "already there" in capsys.readouterr().out
-    assert main(["fetch", "--list"]) == 0 and "licence: free" in capsys.readouterr().out
+    assert main(["fetch", "--list"]) == 0 and "  free\n" in capsys.readouterr().out
 
 
 def test_a_damaged_table_is_told(tmp_path):

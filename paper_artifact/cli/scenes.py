@@ -49,7 +49,7 @@ class Fetch(Options):
 def fetch(options: Fetch) -> int:
     """Fetch, with a line per mesh; one that fails is named, the others go on. Returns 1 if one failed."""
     if options.listing:
-        print(to_string(("key", "role", "licence", "source"), _listed()))
+        print(to_string(("key", "role", "source", "licence"), _listed()))
         return 0
     keys = options.key or [
         entry.key
@@ -86,21 +86,16 @@ def fetch(options: Fetch) -> int:
 
 
 def _listed() -> list[tuple[str, str, str, str]]:
-    """Return key, role, licence and source of every mesh and of every set of photographs."""
-    rows = [
-        (
-            entry.key,
-            entry.role,
-            entry.licence or "-",
-            f"{entry.repository}@{entry.commit[:8]}:{entry.path}" if entry.obtainable else entry.notes,
-        )
-        for entry in sources().values()
-    ]
+    """Return key, role, source and licence of every mesh and of every set of photographs."""
+    rows = []
+    for entry in sources().values():
+        place = f"{entry.repository}@{entry.commit[:8]}:{entry.path}" if entry.obtainable else entry.notes
+        rows.append((entry.key, entry.role, place, entry.licence or "-"))
     for each in photo_sets().values():
         first, size = each.files[0], sum(file.bytes for file in each.files) / 1e6
         place = f"{first.repository}@{first.commit[:8]}:{Path(first.path).parent}"
         files = f"({len(each.files)} files, {size:.0f} MB)"
-        rows.append((each.name, "photographs", each.licence, f"{place} {files}"))
+        rows.append((each.name, "photographs", f"{place} {files}", each.licence))
     return rows
 
 
