@@ -25,8 +25,8 @@ from solids import NAMES, RUN, SEED, betti_of, soups_of
 
 from paper_artifact.certify.certificate import certify
 from paper_artifact.errors import InputError
+from paper_artifact.export.models import soup_triangles
 from paper_artifact.export.solid import SAMPLES, distances_to, opaque_mesh
-from paper_artifact.export.triangles import soup_triangles
 from paper_artifact.ingest.solidify import wanted_of
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
