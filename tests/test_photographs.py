@@ -15,8 +15,10 @@ import pytest
 from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
+from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli import main
 from paper_artifact.files import REPOSITORY
+from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.exposure import even_out, fitted_exposures, to_shown
 from paper_artifact.photos.prepare import photographs_in, prepared, size_doubts
 from paper_artifact.photos.register import Registered
@@ -358,3 +360,10 @@ def test_the_committed_model_of_the_mug_is_read():
     model = read_model(MUG / "sparse" / "0")
     true = json.loads((MUG / "cameras.json").read_text())["centres"]
     assert {pose.name for pose in model.images.values()} <= set(true) and len(model.images) >= 40
+
+
+def test_the_mugs_ground_truth_is_one_closed_surface_of_genus_one():
+    certificate = certify_mesh(load_mesh(MUG / "mug.ply"))
+    assert certificate.betti == (1, 2, 1) and certificate.open_edges == 0
+    size = sum(file.stat().st_size for file in MUG.rglob("*") if file.is_file())
+    assert size < 3e6

@@ -53,7 +53,7 @@ MEASUREMENTS = {
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
     ),
     "photographs": (
-        "measure_photographs",
+        "",
         "the mug of data_scripts/mug from its photographs, C0 and T1, against its true surface (pycolmap)",
     ),
     "dirty": (
