@@ -15,11 +15,12 @@ from paper_artifact import cli
 from paper_artifact.files import REPOSITORY
 from paper_artifact.notebooks import NOTEBOOKS
 
-DOCUMENTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(REPOSITORY.glob("*.md"))}
-TEXT = DOCUMENTS["README"]
+PATHS = [*sorted(REPOSITORY.glob("*.md")), *sorted((REPOSITORY / "docs").glob("*.md"))]
+DOCUMENTS = {path.stem: path.read_text(encoding="utf-8") for path in PATHS}
+TEXT, LIBRARY = DOCUMENTS["README"], DOCUMENTS["library"]
 
 
-def blocks(language: str, text: str = TEXT) -> list[str]:
+def blocks(language: str, text: str) -> list[str]:
     """Return the code blocks of that language at the margin; indented ones are parts of something."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
@@ -32,8 +33,8 @@ def commands() -> list[str]:
 
 
 def test_the_program_runs(tmp_path):
-    assert blocks("python")
-    for program in blocks("python"):
+    assert blocks("python", LIBRARY)
+    for program in blocks("python", LIBRARY):
         result = subprocess.run(
             [sys.executable, "-W", "error", "-c", program],
             cwd=REPOSITORY,
@@ -64,7 +65,7 @@ def test_commands_parse(command):
 
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_paths_exist(document):
-    folders = "paper_artifact|notebooks|data_scripts|results|tests"
+    folders = "paper_artifact|notebooks|data_scripts|results|tests|docs"
     named = re.findall(rf"`((?:{folders})/[\w./-]*)`", DOCUMENTS[document])
     # git-ignored, written by the commands
     made = {f"results/{each}" for each in ("executed/", "own/", "scenes/my", "book/index.html")}
@@ -73,17 +74,21 @@ def test_paths_exist(document):
 
 
 def test_modules_that_documents_name_exist():
-    for document in ("ARCHITECTURE", "CHANGELOG"):
-        named = re.findall(r"`(\w+/\w+\.py|\w+/\w+/\w+\.py)`", DOCUMENTS[document])
-        places = (REPOSITORY, REPOSITORY / "paper_artifact")
-        assert [path for path in named if not any((place / path).exists() for place in places)] == []
+    named = re.findall(r"`(\w+/\w+\.py|\w+/\w+/\w+\.py)`", DOCUMENTS["ARCHITECTURE"])
+    places = (REPOSITORY, REPOSITORY / "paper_artifact")
+    assert [path for path in named if not any((place / path).exists() for place in places)] == []
 
 
 def test_the_readme_names_what_the_package_brings():
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-    brought = re.search(r"`pip install \.` \(([^)]*)\)", TEXT)
+    brought = re.search(r"`pip install \.` \(([^)]*)\)", LIBRARY)
     assert brought is not None and sorted(brought[1].split(", ")) == sorted(project["dependencies"])
-    assert all(f"`.[{extra}]`" in TEXT for extra in project["optional-dependencies"])
+    assert all(f"`.[{extra}]`" in LIBRARY for extra in project["optional-dependencies"])
+
+
+def test_the_readme_is_short():
+    assert len(TEXT.encode()) <= 8000
+    assert all(f"`docs/{name}.md`" in TEXT for name in ("own_mesh", "photographs", "betti", "library", "study"))
 
 
 def test_the_table_names_every_notebook_and_no_other():
