@@ -88,7 +88,8 @@ def test_the_readme_names_what_the_package_brings():
 
 def test_the_readme_is_short():
     assert len(TEXT.encode()) <= 8000
-    assert all(f"`docs/{name}.md`" in TEXT for name in ("own_mesh", "photographs", "betti", "library", "study"))
+    pages = ("own_mesh", "photographs", "betti", "library", "study")
+    assert all(f"`docs/{name}.md`" in TEXT for name in pages)
 
 
 def test_the_table_names_every_notebook_and_no_other():
