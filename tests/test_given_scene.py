@@ -284,6 +284,33 @@ def test_the_folder_is_found_by_what_people_give(own, tmp_path):
         scene_root(tmp_path / "none")
     with pytest.raises(InputError, match="no COLMAP file at"):
         load_scene(tmp_path)
+    expected, digest = load_scene(own), scene_digest(own)
+    for model, images in (("sparse/1", "input"), ("colmap/sparse/0", "images_4"), ("beside", "images")):
+        root = Path(shutil.copytree(own, tmp_path / model / "scene"))
+        (root / "images").rename(root / images)
+        shutil.move(root / "sparse" / "0", root / "moved")
+        (root / "sparse").rmdir()
+        if model == "beside":
+            for file in (root / "moved").iterdir():
+                file.rename(root / file.name)
+        else:
+            (root / model).parent.mkdir(parents=True, exist_ok=True)
+            (root / "moved").rename(root / model)
+        assert np.array_equal(load_scene(root).images, expected.images) and scene_digest(root) == digest
+
+
+def test_names_that_nearly_match_and_views_without_image(own, capsys):
+    expected = load_scene(own)
+    for index, file in enumerate(sorted((own / "images").iterdir())):
+        file.rename(file.with_suffix(".PNG" if index % 2 else ".tif"))
+    assert np.array_equal(load_scene(own).images, expected.images)
+    next((own / "images").glob("*.tif")).unlink()
+    scene = load_scene(own)
+    assert len(scene.names) == 10 and "1 of 11 views are left out" in capsys.readouterr().err
+    for file in sorted((own / "images").iterdir())[1:]:
+        file.unlink()
+    with pytest.raises(InputError, match=r"no image at .* \(10 of 11 are missing\)"):
+        load_scene(own)
 
 
 def test_cameras_of_models_newer_than_this_package_are_to_be_undistorted(own):

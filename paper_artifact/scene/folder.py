@@ -9,17 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import inside, load_json
+from paper_artifact.files import find_file, inside, load_json
 from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
 
 DESCRIPTION = "scene.json"
 GROUND_TRUTH = "ground_truth.npz"
+# Where models and photographs lie, the usual place first; model folders may hold the model in a folder 0, 1 …
+MODEL_FOLDERS = ("sparse", "colmap/sparse", ".")
+IMAGE_FOLDERS = ("images", "input", "images_2", "images_4", "images_8")
 UNDISTORTED = "dense"  # what COLMAP and pycolmap call the folder of the undistorted photographs
 
 
 def scene_root(path: Path | str) -> Path:
-    """Return the folder that holds `images/` and the sparse model, of what people give for it, resolved.
+    """Return the folder with the photographs and the sparse model, of what people give for it, resolved.
 
     The folder itself; the one above, for its sparse/, sparse/0 or images; and dense/ in it, COLMAP's name for
     the undistorted photographs, whose own camera models could not be read. Raises InputError when there is no
@@ -29,20 +32,39 @@ def scene_root(path: Path | str) -> Path:
     if not path.is_dir():
         raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")
     path = path.resolve()
-    above = [path, path.parent] if path.name in ("sparse", "images") else [path]
+    above = [path, path.parent] if path.name in ("sparse", *IMAGE_FOLDERS) else [path]
     if path.parent.name == "sparse":
         above.append(path.parent.parent)
     for folder in above:
         for each in (folder / UNDISTORTED, folder):
-            if (each / "images").is_dir() and (each / "sparse").is_dir():
+            if any((each / name).is_dir() for name in IMAGE_FOLDERS) and _has_model(model_folder(each)):
                 return each
     return path
 
 
 def model_folder(root: Path) -> Path:
-    """Return the folder of the sparse model: sparse/0, or sparse/ itself where there is no such folder."""
+    """Return the folder of the sparse model, the first of MODEL_FOLDERS that has one, in itself or in a
+    numbered folder; sparse/0, or sparse/, where none has."""
+    for name in MODEL_FOLDERS:
+        place = inside(root, name)
+        numbered = sorted(place.glob("[0-9]*")) if name != "." and place.is_dir() else []
+        for folder in (*(inside(root, str(each.relative_to(root))) for each in numbered), place):
+            if _has_model(folder):
+                return folder
     first = inside(root, "sparse/0")
     return first if first.is_dir() else inside(root, "sparse")
+
+
+def _has_model(folder: Path) -> bool:
+    return any((folder / f"cameras{ending}").is_file() for ending in (".bin", ".txt"))
+
+
+def image_file(root: Path, name: str) -> Path | None:
+    """Return the photograph that a scene's model calls `name`, see `find_file`; None where there is none."""
+    for folder in IMAGE_FOLDERS:
+        if (root / folder).is_dir() and (found := find_file(inside(root, folder), name)) is not None:
+            return inside(root, str(found.relative_to(root)))
+    return None
 
 
 def scene_name(root: Path) -> str:
@@ -108,7 +130,9 @@ def scene_digest(root: Path) -> str:
     files = zip(FILES, model_files(folder), strict=True)
     held = {f"model/{name}": sha256_of(file.read_bytes()) for name, file in files}
     for name in names:
-        held[f"images/{name}"] = sha256_of(read_file(inside(root, f"images/{name}")))
+        if (file := image_file(root, name)) is None:
+            continue  # `load_scene` leaves such views out
+        held[f"images/{name}"] = sha256_of(read_file(file))
         if (mask := mask_of(root, name)) is not None:
             held[f"masks/{name}"] = sha256_of(read_file(mask))
     description = read_description(root)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.cameras import FAR, NEAR, framed, world_to_clip
-from paper_artifact.scene.colmap import read_model
-from paper_artifact.scene.folder import GROUND_TRUTH, check_files, model_folder, read_description, scene_root
+from paper_artifact.scene.colmap import Model, read_model
+from paper_artifact.scene.folder import (
+    GROUND_TRUTH,
+    check_files,
+    image_file,
+    model_folder,
+    read_description,
+    scene_root,
+)
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.holdout import AUTO, EVERY, held_out
 from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels, sizes_told
@@ -47,8 +56,8 @@ class Scene:
 def load_scene(
     path: Path | str, *, downscale: float = 1.0, background: str | None = None, holdout: str | None = None
 ) -> Scene:
-    """Return the COLMAP scene in the folder `path` (see `scene_root`): `images/`, and `sparse/0/` or
-    `sparse/`, binary or text.
+    """Return the COLMAP scene in the folder `path` (see `scene_root`): photographs, and a sparse model,
+    binary or text. Views without photograph are left out, which a line on stderr says.
 
     Radius and, where `background` is None, the background come from scene.json where there is one; else the
     background is white and the radius half the diagonal of the cloud's central 98 % box. background: "white",
@@ -63,7 +72,7 @@ def load_scene(
     description = read_description(path)
     check_files(path, description)
     model = read_model(model_folder(path))
-    order = sorted(model.images, key=lambda image: model.images[image].name)
+    order, files = _views(path, model, complete="key" in description)
     names = tuple(model.images[image].name for image in order)
     if len(names) < 2:
         raise InputError(f"{path} has {len(names)} views; at least 2 are needed, one of them is held out")
@@ -85,7 +94,7 @@ def load_scene(
     train = indices[~np.isin(indices, chosen)]
 
     def pixels(view: int) -> Pixels:
-        file, camera = inside(path, f"images/{names[view]}"), cameras[view]
+        file, camera = files[view], cameras[view]
         return read_pixels(read_file(file), file, camera.width / camera.height, mask_of(path, names[view]))
 
     if background == MEAN:
@@ -123,6 +132,30 @@ def load_scene(
         radius=radius,
         frame=frame,
     )
+
+
+def _views(path: Path, model: Model, complete: bool) -> tuple[list[int], list[Path]]:
+    """Return the images whose photograph is there, by name, and the files; a line names the others.
+
+    complete: raise InputError for the first that is not there, as for fewer than two views left.
+    """
+    order = sorted(model.images, key=lambda image: model.images[image].name)
+    files = [image_file(path, model.images[image].name) for image in order]
+    missing = [model.images[image].name for image, file in zip(order, files, strict=True) if file is None]
+    if missing and (complete or len(missing) > len(order) - 2):
+        raise InputError(
+            f"no image at {path / 'images' / missing[0]}, which the COLMAP model lists ({len(missing)} of "
+            f"{len(order)} are missing); copy the images folder too"
+        )
+    if missing:
+        more = " …" if len(missing) > 4 else ""
+        tqdm.write(
+            f"{path}: {len(missing)} of {len(order)} views are left out, their images are not there: "
+            f"{', '.join(missing[:4])}{more}",
+            file=sys.stderr,
+        )
+    kept = [(image, file) for image, file in zip(order, files, strict=True) if file is not None]
+    return [image for image, _ in kept], [file for _, file in kept]
 
 
 def _mean_colour(pictures: Iterable[Pixels]) -> np.ndarray:
