@@ -91,7 +91,7 @@ class LossConfig:
     )
     fallback: str = _setting(
         "detach",
-        "of a pair that fails the Gabriel gate (`alpha.gabriel`)",
+        "of a pair that fails the Gabriel gate (`alpha.radii`)",
         choices=("detach", "drop", "subgradient", "denser"),
     )
     method: str = _setting("fast", "of alpha persistence", choices=("fast", "gudhi"))

@@ -117,7 +117,8 @@ def test_the_persistence_stands_alone():
     alpha = [path for module, path in MODULES.items() if room_of(module) == "alpha"]
     used = {room_of(name) for path in alpha for name in imported(path.read_text())}
     assert used - {"alpha"} == {"errors", "kernel_cache"}
-    assert set().union(*map(outsiders, alpha)) == {"numpy", "numba", "torch", "gudhi"}
+    others = {"numpy", "numba", "scipy", "torch", "gudhi", "matplotlib", "sklearn"}
+    assert set().union(*map(outsiders, alpha)) == others
     code = (
         "import sys, paper_artifact.alpha; print(sorted({name.split('.')[1] for name in sys.modules "
         "if name.startswith('paper_artifact.')}), 'gudhi' in sys.modules)"
@@ -131,7 +132,8 @@ def test_the_method_uses_what_the_package_brings_and_no_more():
     brought = {{"pillow": "PIL"}.get(name, name) for name in project["dependencies"]}
     alone = {*rooms()[: rooms().index("pipeline") + 1], "export", "pages"} - {"ingest"}  # ingest: [study]
     used = {module: outsiders(path) for module, path in MODULES.items() if room_of(module) in alone}
-    optional = {"DracoPy", "pycolmap"}  # imported where a file needs them; a sentence where they are missing
+    # imported where they are needed; a sentence where they are missing
+    optional = {"DracoPy", "matplotlib", "pycolmap", "sklearn"}
     others = {module: names - brought - optional for module, names in used.items()}
     assert {module: names for module, names in others.items() if names} == {}
     assert set().union(*used.values()) - optional == brought - {"argcomplete"}, "nothing imports it"

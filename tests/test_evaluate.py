@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
+from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import chamfer_sum, point_distances
 from paper_artifact.evaluate.scores import (

@@ -245,13 +245,6 @@ def test_pairs_equal_gudhis_on_generic_clouds(name):
         assert rows[0] == rows[1]
 
 
-def test_order_of_points_does_not_matter():
-    points = CLOUDS["soup of 5"]()
-    shuffled = points[draw("shuffle").permutation(len(points))]
-    for one, other in zip(alpha_persistence(points), alpha_persistence(shuffled), strict=True):
-        assert gap(one.diagram, other.diagram, 1.0) < 1e-9
-
-
 def test_input_is_not_changed_and_may_be_read_only():
     points = CLOUDS["torus"]()
     copy = points.copy()
@@ -266,10 +259,10 @@ def test_input_is_not_changed_and_may_be_read_only():
     [
         (np.full((5, 3), np.nan), "point 0"),
         (np.vstack([np.eye(3), [[0, np.inf, 0]]]), "point 3"),
-        (np.zeros((5, 2)), "shape"),
+        (np.zeros((5, 4)), "shape"),
         (np.zeros(3), "shape"),
         (np.zeros((2, 3, 1)), "shape"),
-        (np.zeros((0, 2)), "shape"),
+        (np.zeros((0, 4)), "shape"),
         ([["a", "b", "c"]], "numbers"),
     ],
 )
@@ -296,11 +289,11 @@ def test_pairs_are_frozen():
 @pytest.mark.parametrize("n", [4, 5, 30, 1500])
 def test_triangulation_equals_scipys_on_generic_points(n):
     points = draw(f"delaunay {n}").random((n, 3))
-    scaled, unit = ordering.normalised(points)
-    np.testing.assert_array_equal(scaled * unit, points)
+    scaled, exponent = ordering.normalised(points)
+    np.testing.assert_array_equal(np.ldexp(scaled, exponent), points)
     order = ordering.insertion_order(ordering.hilbert_indices(scaled))
     ordered = np.ascontiguousarray(scaled[order])
-    assert delaunay.first_tetrahedron(ordered, order)
+    assert delaunay.first_simplex(ordered, order) == 4
     mesh, distinct = delaunay.triangulate(ordered)
     cells, neighbours = delaunay.finite_cells(mesh, np.arange(n, dtype=np.int32))
     assert distinct == n
@@ -320,7 +313,7 @@ def test_a_star_of_many_cells_grows_the_workspaces():
     assert len(voids.deaths) > 0 and voids.deaths.max() < 0.51 + 0.2
     scaled, _ = ordering.normalised(points)
     order = np.arange(3001, dtype=np.int32)  # the centre last
-    assert delaunay.first_tetrahedron(scaled, order) and order[3000] == 3000
+    assert delaunay.first_simplex(scaled, order) == 4 and order[3000] == 3000
     mesh, _ = delaunay.triangulate(scaled)
     cells, _ = delaunay.finite_cells(mesh, np.arange(3001, dtype=np.int32))
     assert (cells == 3000).any(axis=1).sum() > 5000

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from paper_artifact.alpha.circumradius import circumradius
+from paper_artifact.alpha.diagrams import circumradius
 from paper_artifact.errors import InputError
 
 

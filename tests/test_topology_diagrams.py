@@ -71,4 +71,4 @@ def test_few_points_and_bad_ones():
     with pytest.raises(InputError):
         alpha_diagrams(torch.full((5, 3), float("nan")))
     with pytest.raises(InputError):
-        alpha_diagrams(torch.zeros((5, 2)))
+        alpha_diagrams(torch.zeros((5, 4)))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from paper_artifact.alpha.circumradius import circumradius
-from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
+from paper_artifact.alpha.diagrams import circumradius
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
+from paper_artifact.alpha.radii import coface_of_value, passes_gate
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import build_bundle
@@ -184,7 +184,7 @@ def non_gabriel(monkeypatch):
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = Pairs(np.array([birth]), np.array([death]), np.array([[0, 1]]), np.array([[3, 4, 5]]))
     monkeypatch.setattr(
-        "paper_artifact.topology.plan.alpha_persistence", lambda points, method="fast": (None, pairs, None)
+        "paper_artifact.topology.plan.alpha_persistence", lambda *_, as_given: (None, pairs, None)
     )
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 

@@ -1,4 +1,4 @@
-"""Three-dimensional Delaunay triangulation by incremental insertion, exact for every input.
+"""Three-dimensional Delaunay triangulation by incremental insertion, exact on normalised points.
 
 Bowyer-Watson insertion in biased randomised Hilbert order with a walk for location. Outside the convex hull
 lie "infinite" tetrahedra, one per hull triangle, with the vertex -1 in the last place. Ties: a later point
@@ -40,48 +40,55 @@ START = np.array(
 FACE = np.array([[2, 1, 3], [0, 2, 3], [1, 0, 3], [0, 1, 2]])
 
 
-def _collinear(points: np.ndarray, ws: np.ndarray) -> bool:
-    """Return whether three points (3, 3) are exactly collinear.
+@njit(cache=True, nogil=True)
+def _collinear(points: np.ndarray, i: int, lifted: np.ndarray, ws: np.ndarray) -> bool:
+    """Return whether rows 0, 1 and i are exactly collinear.
 
     They are when all coordinate projections have zero area, each read off an orientation with a point above.
+    lifted: (4, 3) float64, overwritten.
     """
     for axis in range(3):
-        lifted = np.zeros((4, 3))
-        lifted[:3, :2] = np.delete(points, axis, axis=1)
-        lifted[3, :2], lifted[3, 2] = lifted[0, :2], 1.0
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for k in range(4):
+            row = (0, 1, i, 0)[k]
+            lifted[k, 0], lifted[k, 1], lifted[k, 2] = points[row, u], points[row, v], 0.0
+        lifted[3, 2] = 1.0
         if orient3d(lifted, 0, 1, 2, 3, ws) != 0.0:
             return False
     return True
 
 
-def first_tetrahedron(points: np.ndarray, order: np.ndarray) -> bool:
-    """Bring four affinely independent rows, positively oriented, to the front; return whether there are any.
+@njit(cache=True, nogil=True)
+def _swap(points: np.ndarray, order: np.ndarray, i: int, j: int) -> None:
+    for k in range(3):
+        points[i, k], points[j, k] = points[j, k], points[i, k]
+    order[i], order[j] = order[j], order[i]
 
-    There are none in fewer than four points, or when all are exactly coplanar. Changes points (n, 3) and
-    order (n,) IN PLACE.
+
+@njit("int64(float64[:,::1], int32[::1])", cache=True, nogil=True)
+def first_simplex(points: np.ndarray, order: np.ndarray) -> int:
+    """Move affinely independent rows to the front, four of them positively oriented; return how many.
+
+    Fewer than four: all points are equal (1), exactly collinear (2), exactly coplanar (3); 0: no points.
+    Changes points (n, 3) and order (n,) IN PLACE.
     """
-    ws = np.empty(WORKSPACE)
-
-    def swap(i: int, j: int) -> None:
-        points[[i, j]] = points[[j, i]]
-        order[[i, j]] = order[[j, i]]
-
-    found = 1
+    ws, lifted = np.empty(WORKSPACE), np.empty((4, 3))
+    found = min(1, len(points))
     for i in range(1, len(points)):
         if found == 1:
-            use = (points[i] != points[0]).any()
+            use = points[i, 0] != points[0, 0] or points[i, 1] != points[0, 1] or points[i, 2] != points[0, 2]
         elif found == 2:
-            use = not _collinear(points[[0, 1, i]], ws)
+            use = not _collinear(points, i, lifted, ws)
         else:
             use = orient3d(points, 0, 1, 2, i, ws) != 0.0
         if use:
-            swap(found, i)
+            _swap(points, order, found, i)
             found += 1
             if found == 4:
                 if orient3d(points, 0, 1, 2, 3, ws) < 0.0:
-                    swap(0, 1)
-                return True
-    return False
+                    _swap(points, order, 0, 1)
+                break
+    return found
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -152,7 +159,7 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the Delaunay tetrahedra of `points` and the number of distinct points.
 
     points: (n, 3) float64, n >= 4, scaled as ordering.normalised does, inserted in the order given; the first
-    four rows are affinely independent and positively oriented (first_tetrahedron). The tetrahedra are a mesh
+    four rows are affinely independent and positively oriented (first_simplex). The tetrahedra are a mesh
     (c, 8) int32: rows of four vertices and the four neighbours opposite to them, finite cells positively
     oriented, infinite cells with vertex -1 in column 3, unused rows with -2 in column 0. A row that exactly
     duplicates an earlier one is in no cell.

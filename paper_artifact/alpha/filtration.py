@@ -238,9 +238,41 @@ def values(
             edge = of_triangle[f, i]
             edge_gabriel[edge] &= signs[2 + i] >= 0.0
             edge_values[edge] = min(edge_values[edge], value)
-    for i in range(e):
-        if edge_gabriel[i]:
+    _own_edge_values(points, edges, edge_gabriel, edge_values)
+    return cell_values, triangle_values, edge_values
+
+
+@njit(cache=True, nogil=True)
+def _own_edge_values(points: np.ndarray, edges: np.ndarray, gabriel: np.ndarray, values: np.ndarray) -> None:
+    """Set the values of Gabriel edges to their own, IN PLACE, never above a coface's."""
+    for i in range(len(edges)):
+        if gabriel[i]:
             a, b = edges[i, 0], edges[i, 1]
             x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
-            edge_values[i] = min((x * x + y * y + z * z) / 4.0, edge_values[i])
-    return cell_values, triangle_values, edge_values
+            values[i] = min((x * x + y * y + z * z) / 4.0, values[i])
+
+
+@njit(cache=True, nogil=True)
+def planar_values(
+    points: np.ndarray, triangles: np.ndarray, edges: np.ndarray, of_triangle: np.ndarray, ws: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the squared radii of triangles (k,) and edges (e,) of a planar Delaunay triangulation, and the
+    triangles beside each edge (e, 2) int32, -1 outside the hull.
+    """
+    k, e = len(triangles), len(edges)
+    triangle_values, edge_values = np.empty(k), np.full(e, np.inf)
+    gabriel, sides = np.ones(e, dtype=np.bool_), np.full((e, 2), np.int32(-1))
+    for f in range(k):
+        a, b, c = np.int64(triangles[f, 0]), np.int64(triangles[f, 1]), np.int64(triangles[f, 2])
+        triangle_values[f] = triangle_value(points, a, b, c, ws)
+        for i in range(3):
+            edge = of_triangle[f, i]
+            sign, bound = edge_filter(points, b, c, a)
+            if abs(sign) <= bound:
+                sign = edge_exact(points, b, c, a, ws)
+            gabriel[edge] &= sign >= 0.0
+            edge_values[edge] = min(edge_values[edge], triangle_values[f])
+            sides[edge, 0 if sides[edge, 0] < 0 else 1] = f
+            a, b, c = b, c, a
+    _own_edge_values(points, edges, gabriel, edge_values)
+    return triangle_values, edge_values, sides

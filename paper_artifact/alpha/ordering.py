@@ -11,22 +11,19 @@ HILBERT_BITS = 16  # per axis
 DIGITS = 6  # of 11 bits, in a 64-bit sort key
 
 
-def normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return (scaled points, unit) with points = unit * scaled.
+def normalised(points: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return (scaled points, exponent) with points = 2^exponent * scaled.
 
-    The unit is a power of two, scaled coordinates lie in [-1, 1] and are multiples of 2^-120.
-    points: (n, 3) float64, finite. The products of the exact predicates then neither over- nor underflow.
-    Scaling is exact; only coordinates below 2^-67 of the largest are rounded, by at most 2^-121 of it, which
-    moves no bar by more.
+    Scaled coordinates lie in [-1, 1] and are multiples of 2^-120. points: (n, 3) float64, finite. The
+    products of the exact predicates then neither over- nor underflow. Scaling is exact; only coordinates
+    below 2^-67 of the largest are rounded, by at most 2^-121 of it, which moves no bar by more: points closer
+    than that may become one point, and the bars between them vanish.
     """
-    largest = float(np.abs(points).max(initial=0.0))
-    if largest == 0.0:
-        return points.copy(), 1.0
-    exponent = int(np.frexp(largest)[1])
+    exponent = int(np.frexp(np.abs(points).max(initial=0.0))[1])
     scaled = np.ldexp(points, -exponent)
     small = np.abs(scaled) < 2.0**-67
     scaled[small] = (scaled[small] + 2.0**-68) - 2.0**-68
-    return scaled, 2.0**exponent
+    return scaled, exponent
 
 
 @njit("int32[::1](uint64[::1])", cache=True, nogil=True)

@@ -1,37 +1,40 @@
-"""Alpha persistence of a point cloud in space: births and deaths as radii, with the simplices that set them.
+"""Alpha persistence of a point cloud: births and deaths as radii, with the simplices that set them.
 
 The alpha filtration gives a Delaunay simplex the squared radius of its smallest circumsphere when no other
 point lies inside that sphere (a Gabriel simplex), and otherwise the smallest value among its cofaces
 (Edelsbrunner & Mücke 1994; paper, Method). Two methods return the same diagrams: `fast` (our own Delaunay
 triangulation, filtration and reduction) and `gudhi` (the oracle: gudhi's AlphaComplex at precision `safe`).
+
+Weighted points and periodic boxes are not offered: they need other predicates and other exactness proofs.
 """
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from paper_artifact.errors import InputError
 
-# Two squared radii closer than this, relative to the larger, are one value: both methods carry rounding of
-# about 1e-15.
-ROUNDING = 1e-12
-
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
+LARGEST = 2.0**1022  # of a coordinate: differences stay finite
+NOBODY = -1  # the vertices of a death that does not happen
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """The k finite bars of one dimension d, in increasing order of birth, then of death."""
+    """The k bars of one dimension d, in increasing order of birth, then of death."""
 
     births: np.ndarray  # (k,) float64 RADII: square roots of alpha², in the unit of the points
-    deaths: np.ndarray  # (k,) float64 RADII, above the births
+    deaths: np.ndarray  # (k,) float64 RADII, above the births; inf where the class never dies
     birth_simplices: np.ndarray  # (k, d+1) int64 indices into the points, each row increasing
-    death_simplices: np.ndarray  # (k, d+2) int64 indices into the points, each row increasing
+    death_simplices: np.ndarray  # (k, d+2) int64 indices into the points, each row increasing; -1: no death
 
     def __len__(self) -> int:
         return len(self.births)
@@ -43,64 +46,142 @@ class Pairs:
 
 
 def alpha_persistence(
-    points: np.ndarray, method: str = "fast", progress: Progress | None = None
-) -> tuple[Pairs, Pairs, Pairs]:
-    """Return the finite bars of positive length of the alpha filtration of `points`, dimensions 0, 1, 2.
+    points: Any,
+    method: str = "fast",
+    progress: Progress | None = None,
+    *,
+    infinite: bool = False,
+    squared: bool = False,
+    max_dimension: int | None = None,
+    max_radius: float = np.inf,
+    as_given: bool = False,
+) -> tuple[Pairs, ...]:
+    """Return the bars of positive length of the alpha filtration of `points`, for dimensions 0, 1, 2.
 
-    points: (n, 3) array, n >= 0, converted to float64; any unit. Births and deaths are radii in the same
-    unit. method: "fast" or "gudhi". progress: called with the name of each of STAGES as it begins. A bar
+    points: (n, 3) or (n, 2) numbers, n >= 0, converted to float64; any unit; a tensor's gradient is ignored
+    (`alpha_diagrams` follows it). Clouds in the plane have the dimensions 0 and 1. A batch (b, n, d) or a
+    list of clouds is computed in threads and gives a list of such tuples. method: "fast" or "gudhi".
+    progress: called with the name of each of STAGES as it begins.
+
+    Births and deaths are radii in the points' unit, or with `squared` their squares (gudhi's alpha²). A bar
     shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected
-    component that never dies is left out as well; no other class is infinite. Exact duplicates of a point are
-    one point of the filtration; a simplex names one of them. Small and flat clouds have the well-defined
-    answer of their dimension: n = 0 and 1 no bars, 2 points or collinear ones H0 only, 3 points or coplanar
-    ones H0 and H1 only. (`fast` hands clouds that span no tetrahedron to gudhi.)
+    component that never dies is left out unless `infinite`; no other class is infinite. max_dimension: the
+    highest dimension returned; 0 is several times faster. max_radius: the filtration ends there: what is born
+    later is left out, what lives longer never dies. Exact duplicates of a point are one point of the
+    filtration; a simplex names one of them. Flat and small clouds have the answer of their own dimension:
+    collinear points bars in H0 only, coplanar ones in H0 and H1 only.
 
-    Raises InputError for another shape, NaN or infinite coordinates, or an unknown method.
+    The same points in another order give the same bits. With `as_given` they are triangulated in the given
+    order, which agrees up to rounding: recorded runs do so.
+
+    Raises InputError for another shape, coordinates that are not finite real numbers of at most 2^1022, an
+    unknown method or option, or squares beyond the range of float64.
     """
+    options: dict[str, Any] = {
+        "infinite": infinite,
+        "squared": squared,
+        "max_dimension": max_dimension,
+        "max_radius": max_radius,
+    }
+    if is_batch(points):
+        return in_threads(
+            lambda cloud: alpha_persistence(cloud, method, progress, as_given=as_given, **options), points
+        )
     points = check_points(points)
-    if method == "fast":
-        return fast_persistence(points, progress=progress)
-    if method == "gudhi":
-        return gudhi_persistence(points, progress=progress)
-    raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
+    top = points.shape[1] - 1 if max_dimension is None else max_dimension
+    if top not in range(points.shape[1]):
+        raise InputError(f"max_dimension is {top!r}; give 0 to {points.shape[1] - 1} for these points")
+    if not max_radius >= 0:
+        raise InputError(f"max_radius is {max_radius!r}; give a number of at least 0")
+    if method not in _METHODS:
+        raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
+    order = np.arange(len(points)) if as_given else canonical_order(points)
+    found = _METHODS[method](points[order], progress=progress, top=top, squared=squared, names=order)
+    limit = max_radius**2 if squared else max_radius
+    return tuple(
+        _ended(pairs, points, infinite, limit, dimension) for dimension, pairs in enumerate(found[: top + 1])
+    )
 
 
-def check_points(points: np.ndarray) -> np.ndarray:
-    """Return `points` as a contiguous (n, 3) float64 array.
+def is_batch(points: Any) -> bool:
+    """Return whether `points` are several clouds: an array or tensor (b, n, d), or a list of such (n, d)."""
+    if isinstance(points, (list, tuple)):
+        return any(getattr(each, "ndim", 0) == 2 for each in points)
+    return getattr(points, "ndim", 0) == 3
 
-    Raises InputError for another shape or coordinates that are not finite.
+
+def in_threads(work: Callable, clouds: Iterable) -> Any:
+    """Return [work(cloud) for each cloud], one thread for each core: the kernels hold no lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(work, clouds))
+
+
+def canonical_order(points: np.ndarray) -> np.ndarray:
+    """Return the order (n,) int64 of `points` (n, d) by their coordinates: the same for every permutation."""
+    return np.lexsort(points.T[::-1])
+
+
+def check_points(points: Any) -> np.ndarray:
+    """Return `points` as a contiguous (n, 3) or (n, 2) float64 array, a tensor without its gradient.
+
+    Raises InputError for another shape, other kinds of values, or coordinates that are not finite or larger
+    than LARGEST.
     """
+    advice = "give an (n, 3) or (n, 2) array of real numbers"
+    if isinstance(points, np.ma.MaskedArray):
+        raise InputError(
+            f"the points are a masked array, whose mask would be lost; {advice}, e.g. points.compressed()"
+        )
     try:
-        points = np.ascontiguousarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"the points are not numbers ({error}); give an (n, 3) array") from error
+        if hasattr(points, "detach"):
+            points = points.detach().cpu()
+            points = points.double().numpy() if points.is_floating_point() else points.numpy()
+        points = np.asarray(points)
+        kind = points.dtype.kind
+        if kind == "O" and not any(isinstance(each, (str, bytes, complex)) for each in points.flat):
+            points, kind = points.astype(np.float64), "f"
+    except (TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise InputError(f"the points are not numbers ({error}); {advice}") from error
     if points.shape == (0,):
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"the points have shape {points.shape}; give an (n, 3) array")
-    if not np.isfinite(points).all():
-        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(f"point {row} has a coordinate that is not finite; remove such points first")
+        points = np.zeros((0, 3))
+    elif kind not in "iuf":
+        raise InputError(f"the points are not numbers but {points.dtype}; {advice}")
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"the points have shape {points.shape}; {advice}")
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if not (np.abs(points) <= LARGEST).all():
+        row = int(np.flatnonzero(~(np.abs(points) <= LARGEST).all(axis=1))[0])
+        raise InputError(
+            f"point {row} has a coordinate that is not finite or beyond 4e307; remove such points first"
+        )
     return points
 
 
 def fast_persistence(
-    points: np.ndarray, clock: dict[str, float] | None = None, progress: Progress | None = None
-) -> tuple[Pairs, Pairs, Pairs]:
-    """Return what alpha_persistence does, by our kernels, for points that it has checked.
+    points: np.ndarray,
+    clock: dict[str, float] | None = None,
+    progress: Progress | None = None,
+    top: int = 2,
+    squared: bool = False,
+    names: np.ndarray | None = None,
+) -> tuple[Pairs, ...]:
+    """Return the finite bars of dimensions 0 to `top` by our kernels, for points that check_points returned.
 
-    A cloud that spans no tetrahedron goes to gudhi. clock: when given, receives the CPU seconds of this
-    process for each of STAGES.
+    clock: when given, receives the CPU seconds of this process for each of STAGES. names (n,): what the
+    simplices call the points.
     """
-    from paper_artifact.alpha.fast import squared_pairs  # compiled code: loaded only where it is used
+    from paper_artifact.alpha import complex as alpha_complex  # compiled code: loaded only where it is used
 
     stages = _Stages(progress)
-    rows = squared_pairs(points, stages.begin)
-    if rows is None:
-        return gudhi_persistence(points, clock, progress=progress)
-    components, loops, voids = (make_pairs(*each) for each in rows)
+    made = alpha_complex.build(_in_space(points), stages.begin)
+    stages.begin("reduction")
+    rows = alpha_complex.squared_pairs(made, top)
+    stages.begin("pairs")
+    called = made.names if names is None else names[made.names].astype(np.int32)
+    found = [_pairs(alpha_complex.sorted_rows(each, called), made.exponent, squared) for each in rows]
+    found += [_empty(dimension) for dimension in range(len(found), top + 1)]
     stages.end(clock)
-    return components, loops, voids
+    return tuple(found)
 
 
 def gudhi_persistence(
@@ -108,14 +189,19 @@ def gudhi_persistence(
     clock: dict[str, float] | None = None,
     precision: str = "safe",
     progress: Progress | None = None,
-) -> tuple[Pairs, Pairs, Pairs]:
+    top: int = 2,
+    squared: bool = False,
+    names: np.ndarray | None = None,
+) -> tuple[Pairs, ...]:
     """Return what fast_persistence does, by gudhi's alpha complex and its pairs over Z/2.
 
     precision: gudhi's, "safe" or "exact"; predicates are exact in both. `safe` radii are exact to 1e-5
     relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of 1e-10, where we saw
     4e-8); the fast path's agree with `exact` to 1e-9 there as well.
     """
-    import gudhi  # the oracle, and the path of degenerate clouds: only when needed
+    import gudhi  # the oracle: only when asked for
+
+    from paper_artifact.alpha.complex import sorted_rows
 
     stages = _Stages(progress)
     stages.begin("delaunay")
@@ -130,9 +216,99 @@ def gudhi_persistence(
         for birth, death in tree.persistence_pairs():
             if death and len(birth) <= 3:
                 rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
-    components, loops, voids = (_from_rows(rows[dimension], dimension) for dimension in range(3))
+    called = (np.arange(len(points)) if names is None else names).astype(np.int32)
+    found = []
+    for dimension, each in enumerate(rows[: top + 1]):
+        births, deaths, *simplices = zip(*each, strict=True) if each else ((), (), (), ())
+        width = (dimension + 1, dimension + 2)
+        arrays = [np.array(s, dtype=np.int32).reshape(-1, w) for s, w in zip(simplices, width, strict=True)]
+        found.append(
+            _pairs(
+                sorted_rows((np.array(births, dtype=float), np.array(deaths, dtype=float), *arrays), called),
+                0,
+                squared,
+            )
+        )
     stages.end(clock)
-    return components, loops, voids
+    return tuple(found)
+
+
+_METHODS = {"fast": fast_persistence, "gudhi": gudhi_persistence}
+
+
+@dataclass(frozen=True, eq=False)
+class Filtration:
+    """The alpha complex of a cloud: its simplices of dimensions 0 to 3 and the radii that they enter at."""
+
+    simplices: tuple[
+        np.ndarray, ...
+    ]  # of dimension d: (k, d+1) int64 indices into the points, rows increasing
+    radii: tuple[np.ndarray, ...]  # of dimension d: (k,) float64, unit of the points; never above a coface's
+    lengths: np.ndarray  # (e,) float64: of the edges
+
+    def simplex_tree(self) -> Any:
+        """Return the complex as a gudhi.SimplexTree with SQUARED radii, as gudhi's AlphaComplex makes it."""
+        import gudhi
+
+        tree = gudhi.SimplexTree()
+        for simplices, radii in zip(self.simplices, self.radii, strict=True):
+            tree.insert_batch(simplices.T.astype(np.int32), radii**2)
+        return tree
+
+    def shortest_loop(self, birth_simplex: np.ndarray) -> np.ndarray:
+        """Return the vertices (k,) int64 of a shortest loop through an edge (2,) when that edge enters.
+
+        For a bar of dimension 1 (`Pairs.birth_simplices`) a loop that represents its class when it is born:
+        the edge and the shortest path between its ends over edges that entered before. Raises InputError
+        where the edge is not in the complex or closes no loop.
+        """
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import dijkstra
+
+        edges, u_v = self.simplices[1], np.sort(np.asarray(birth_simplex))
+        place = np.flatnonzero((edges == u_v).all(axis=1)) if u_v.shape == (2,) else np.zeros(0, dtype=int)
+        if not len(place):
+            raise InputError(f"{np.asarray(birth_simplex).tolist()} is no edge of the complex")
+        before = self.radii[1] <= self.radii[1][place[0]]
+        before[place[0]] = False
+        count = int(edges.max()) + 1
+        graph = csr_array((self.lengths[before], tuple(edges[before].T)), shape=(count, count))
+        distance, previous = dijkstra(graph, directed=False, indices=u_v[0], return_predecessors=True)
+        if not np.isfinite(distance[u_v[1]]):
+            raise InputError(
+                f"the edge {u_v.tolist()} closes no loop; give the birth of a bar of dimension 1"
+            )
+        path = [int(u_v[1])]
+        while path[-1] != u_v[0]:
+            path.append(int(previous[path[-1]]))
+        return np.array(path)
+
+
+def alpha_filtration(points: Any) -> Filtration:
+    """Return the alpha filtration of `points` (n, 3) or (n, 2). Raises InputError as alpha_persistence does.
+
+    A duplicate of a point is in no simplex.
+    """
+    from paper_artifact.alpha import complex as alpha_complex
+
+    points = check_points(points)
+    order = canonical_order(points)
+    made = alpha_complex.build(_in_space(points[order]), lambda stage: None)
+    names = order[made.names].astype(np.int32)
+    vertices = np.unique(made.edges) if len(made.edges) else np.arange(min(1, len(points)))
+    parts = [
+        (vertices.astype(np.int32)[:, None], np.zeros(len(vertices))),
+        (made.edges, made.edge_values),
+        (made.triangles, made.triangle_values),
+        (made.cells, made.cell_values),
+    ][: points.shape[1] + 1]
+    simplices = tuple(
+        alpha_complex.named(each, np.arange(len(each), dtype=np.int32), names) for each, _ in parts
+    )
+    with np.errstate(over="ignore"):  # of a nearly flat simplex near LARGEST
+        radii = tuple(np.ldexp(np.sqrt(values), made.exponent) for _, values in parts)
+    ends = points[simplices[1]]
+    return Filtration(simplices, radii, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
 
 class _Stages:
@@ -156,33 +332,51 @@ class _Stages:
                 clock[stage] = end - begin
 
 
+def _in_space(points: np.ndarray) -> np.ndarray:
+    """Return (n, 2) points as (n, 3) with the height 0."""
+    return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
+
+
 def _empty(dimension: int) -> Pairs:
-    return make_pairs(
-        np.empty(0),
-        np.empty(0),
-        np.empty((0, dimension + 1), dtype=np.int64),
-        np.empty((0, dimension + 2), dtype=np.int64),
+    simplices = [np.empty((0, dimension + more), dtype=np.int64) for more in (1, 2)]
+    return Pairs(np.empty(0), np.empty(0), *simplices)
+
+
+def _pairs(rows: tuple, exponent: int, squared: bool) -> Pairs:
+    """Return the Pairs of SQUARED radii in units of 2^(2 exponent) and simplices."""
+    births, deaths, *simplices = rows
+    if squared and abs(exponent) > 500:
+        raise InputError("the squared radii leave the range of float64; ask for radii or scale the points")
+    values = [
+        np.ldexp(each, 2 * exponent) if squared else np.ldexp(np.sqrt(each), exponent)
+        for each in (births, deaths)
+    ]
+    return Pairs(*values, *simplices)
+
+
+def _ended(pairs: Pairs, points: np.ndarray, infinite: bool, limit: float, dimension: int) -> Pairs:
+    """Return the bars of a filtration that ends at `limit`, with those that never die if `infinite`."""
+    if infinite and dimension == 0 and len(points):
+        born = pairs.birth_simplices[:, 0]
+        left = np.setdiff1d(np.arange(len(points)), born)
+        if len(left) > 1:  # duplicates: the point that no other component starts at
+            started = {point.tobytes() for point in points[born] + 0.0}
+            left = np.array([row for row in left if (points[row] + 0.0).tobytes() not in started])
+        pairs = Pairs(
+            np.append(pairs.births, 0.0),
+            np.append(pairs.deaths, np.inf),
+            np.vstack([pairs.birth_simplices, left[:1, None]]),
+            np.vstack([pairs.death_simplices, [[NOBODY, NOBODY]]]),
+        )
+    if limit == np.inf:
+        return pairs
+    alive = pairs.deaths > limit
+    keep = (pairs.births <= limit) & (infinite | ~alive)
+    ended = replace(
+        pairs,
+        deaths=np.where(alive, np.inf, pairs.deaths),
+        death_simplices=np.where(alive[:, None], NOBODY, pairs.death_simplices),
     )
-
-
-def _from_rows(rows: list, dimension: int) -> Pairs:
-    if not rows:
-        return _empty(dimension)
-    births, deaths, birth_simplices, death_simplices = zip(*rows, strict=True)
-    return make_pairs(
-        np.array(births), np.array(deaths), np.array(birth_simplices), np.array(death_simplices)
-    )
-
-
-def make_pairs(
-    births: np.ndarray, deaths: np.ndarray, birth_simplices: np.ndarray, death_simplices: np.ndarray
-) -> Pairs:
-    """Return the Pairs of SQUARED radii (k,) and simplices: empty bars dropped, rows sorted."""
-    keep = np.flatnonzero(deaths - births > ROUNDING * deaths)
-    order = keep[np.lexsort((deaths[keep], births[keep]))]
     return Pairs(
-        births=np.sqrt(births[order]),
-        deaths=np.sqrt(deaths[order]),
-        birth_simplices=np.sort(birth_simplices[order].astype(np.int64), axis=1),
-        death_simplices=np.sort(death_simplices[order].astype(np.int64), axis=1),
+        ended.births[keep], ended.deaths[keep], ended.birth_simplices[keep], ended.death_simplices[keep]
     )

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from paper_artifact.evaluate.bottleneck import bottleneck
+from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.topology.floor import check_diagonal
 
 Diagram = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -27,7 +27,7 @@ def diagram_of(points: np.ndarray, diagonal: float, method: str = "fast") -> Dia
     from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     check_diagonal(diagonal)
-    pairs = alpha_persistence(np.ascontiguousarray(points, dtype=np.float64), method=method)
+    pairs = alpha_persistence(points, method, as_given=True)
     return tuple(np.column_stack([each.births, each.deaths]) / float(diagonal) for each in pairs)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from paper_artifact.alpha.predicates import orient3d_filter
 from paper_artifact.certify.homology import edges_of
+from paper_artifact.errors import InputError
 from paper_artifact.ingest.distance import Boxes, Nearest, cells_of, file_boxes, nearest_on
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
@@ -36,7 +37,14 @@ def crossing_faces(
 
     vertices (V,3) float64. A face with an edge that meets another face is marked, and so is that other one.
     links: `edges_of(faces, V)`, where known. changed (V,) bool: only pairs with such a vertex are looked at.
+    Raises InputError for vertices that are not finite.
     """
+    if not np.isfinite(vertices).all():
+        raise InputError(
+            "a vertex has a coordinate that is not finite; remove it before crossings are looked for"
+        )
+    if not len(faces):
+        return np.zeros(0, dtype=bool)
     # A power of two scales exactly and keeps the determinants away from the ends of double precision.
     scale = 2.0 ** -np.ceil(np.log2(max(float(np.abs(vertices).max()), 1e-300)))
     points = np.ascontiguousarray(vertices, dtype=np.float64) * scale

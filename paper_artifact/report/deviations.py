@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.catalogue import BASELINE, LOSS, shapes_of
-from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of
 from paper_artifact.evaluate.scores import SAMPLES
 from paper_artifact.randomness import stream

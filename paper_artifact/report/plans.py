@@ -10,8 +10,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from paper_artifact.alpha.gabriel import passes_gate
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.alpha.radii import passes_gate
 from paper_artifact.catalogue import LOSS, SHAPES
 from paper_artifact.plot import PAGE, new_figure
 from paper_artifact.randomness import stream

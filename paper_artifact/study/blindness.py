@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.bottleneck import bottleneck
 from paper_artifact.evaluate.diagram import diagram_of
 from paper_artifact.evaluate.geometry import chamfer_sum, point_distances
 from paper_artifact.randomness import stream

@@ -124,7 +124,7 @@ def repair(
     for step in range(total + 1):
         if step % record_every == 0 or step == total:
             cloud = points.detach().numpy()
-            bars = alpha_persistence(cloud / bundle.diagonal, method=method)[dimension].diagram
+            bars = alpha_persistence(cloud / bundle.diagonal, method, as_given=True)[dimension].diagram
             kept = bars[significant(bars, bundle.floor)]
             rows.append([step, _bottleneck(kept, bundle.bars[dimension]), len(kept), 0.0, 0])
         value = loss(points)

@@ -65,7 +65,7 @@ def aimed_otherwise(
     if config.aim == "births":
         aims[:, BIRTHS] = clean_birth(dimension, len(cloud), median_spacing(cloud))
         return replace(claims, aims=aims, free=DEATHS)
-    pairs = alpha_persistence(smoothed(cloud), method=config.method)[dimension]
+    pairs = alpha_persistence(smoothed(cloud), config.method, as_given=True)[dimension]
     order = np.argsort(pairs.births - pairs.deaths, kind="stable")[: len(aims)]
     aims[:, DEATHS] = bars[claims.rows[wanted], DEATHS]
     aims[: len(order), DEATHS] = np.maximum(aims[: len(order), DEATHS], pairs.deaths[order])

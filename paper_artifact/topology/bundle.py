@@ -99,7 +99,7 @@ def build_bundle(
     points = np.ascontiguousarray(points, dtype=np.float64)
     floor = measurement_floor(points, diagonal, k)
     bars, reasons, found = [], [], []
-    for dimension, pairs in enumerate(alpha_persistence(points / diagonal, method=method)):
+    for dimension, pairs in enumerate(alpha_persistence(points / diagonal, method, as_given=True)):
         every = np.column_stack([pairs.births, pairs.deaths])
         lengths = every[:, 1] - every[:, 0]
         kept = every[significant(every, floor)]

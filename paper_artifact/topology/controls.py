@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
-from torch.autograd.function import once_differentiable
+
+from paper_artifact.alpha.diagrams import FirstDerivative
 
 # Pairs are listed with the plan, up to this multiple of h, so that samples that come closer between two
 # refreshes count.
@@ -53,10 +54,10 @@ class _Repulsion(torch.autograd.Function):
                 for axis in range(3)
             ]
         )
-        ctx.save_for_backward(torch.from_numpy(gradient))
+        ctx.save_for_backward(positions, torch.from_numpy(gradient))
         return torch.tensor((overlap**2).sum() / len(points), dtype=torch.float64)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
-        return upstream * ctx.saved_tensors[0], None, None
+        positions, gradient = ctx.saved_tensors
+        return FirstDerivative.apply(upstream * gradient, positions), None, None

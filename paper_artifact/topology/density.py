@@ -75,7 +75,7 @@ def choose_density(
 def _margins(points: np.ndarray, statement: Statement, dimensions: Sequence[int]) -> dict[int, np.ndarray]:
     """Return, per dimension, the wanted bars' lifetimes over the floor, longest first (0: no such bar)."""
     floor = measurement_floor(points, 1.0)
-    pairs = alpha_persistence(points)
+    pairs = alpha_persistence(points, as_given=True)
     found = {}
     for dimension in dimensions:
         lifetimes = np.sort(pairs[dimension].deaths - pairs[dimension].births)[::-1]

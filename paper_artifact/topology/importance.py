@@ -67,7 +67,7 @@ def feature_kernels(points: np.ndarray, diagonal: float, spread: float) -> list[
     floor = measurement_floor(points, diagonal) * diagonal
     spacing = median_spacing(points)
     made = []
-    for pairs in alpha_persistence(points):
+    for pairs in alpha_persistence(points, as_given=True):
         rows = np.flatnonzero(significant(np.column_stack([pairs.births, pairs.deaths]), floor))
         if not len(rows):
             continue

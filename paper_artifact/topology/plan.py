@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from paper_artifact.alpha.gabriel import coface_of_value, passes_gate
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
+from paper_artifact.alpha.radii import coface_of_value, passes_gate
 from paper_artifact.config import LossConfig
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.curvature import pair_weights
@@ -125,7 +125,7 @@ def make_plan(
 
     floor: lifetimes above it are significant, / D; live_floor: the cloud's own, for the report.
     """
-    pairs = alpha_persistence(cloud, method=config.method)
+    pairs = alpha_persistence(cloud, config.method, as_given=True)
     parts, failing, reports = [], [], {}
     for dimension in dimensions:
         part, failed, report = _plan_dimension(cloud, pairs[dimension], claim, floor, dimension, config)

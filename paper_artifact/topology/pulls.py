@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from paper_artifact.alpha.circumradius import radius_and_gradient
+from paper_artifact.alpha.diagrams import FirstDerivative
+from paper_artifact.alpha.radii import radius_and_gradient
 
 KINDS = ("matched", "recruited", "diagonal")
 MATCHED, RECRUITED, DIAGONAL = range(3)
@@ -117,13 +117,13 @@ class _Value(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, arrays: LossArrays) -> Tensor:
         value, gradient = arrays.value_and_gradient(positions.detach().numpy())
-        ctx.save_for_backward(torch.from_numpy(gradient))
+        ctx.save_for_backward(positions, torch.from_numpy(gradient))
         return torch.tensor(value, dtype=torch.float64)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        return upstream * ctx.saved_tensors[0], None
+        positions, gradient = ctx.saved_tensors
+        return FirstDerivative.apply(upstream * gradient, positions), None
 
 
 def compiled(pulls: Pulls) -> tuple[np.ndarray, LossArrays]:

@@ -1,4 +1,4 @@
-"""Circumradii of edges, triangles and tetrahedra with a closed-form gradient.
+"""Circumradii of edges, triangles and tetrahedra with a closed-form gradient, and the Gabriel gate.
 
 Paper §3.2, equation of the radii: a Gabriel simplex enters the alpha filtration at its squared circumradius,
 so a paired bar's coordinates are functions of 1 to 4 sample positions. Everything here is a RADIUS, in the
@@ -11,37 +11,29 @@ longer than 1.
 
 Where this breaks: a flat tetrahedron or a collinear triangle has no circumcentre; its radius is inf and its
 gradient 0, so the Gabriel gate refuses it and no NaN reaches the vertices.
+
+The gate asks whether a paired simplex's filtration value is its own circumradius, to a relative 1e-6 (paper
+§3.2); a pair that fails is detached. In general position a simplex of a bar of positive length is critical,
+hence Gabriel, so failures mean rounding or degenerate input.
+
+Fallbacks (`LossConfig.fallback`):
+  detach       the paper's default: the pair keeps its value in the loss and gets no gradient;
+  drop         failing bars are taken out before the matching: a sound bar may claim the target instead;
+  subgradient  a non-Gabriel simplex has the value of one of its cofaces; if one more sample of the cloud
+               gives a coface whose circumradius is that value, the coface is differentiated instead (one
+               element of the generalised gradient); if none does (two levels up, or a tetrahedron), the pair
+               is detached;
+  denser       the surface is sampled more densely on the triangles of the failing simplices and the plan is
+               made again on the enlarged cloud, at most three times; what still fails is detached. Needs a
+               surface, so only `TopologyTerm` has it.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import torch
-from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from paper_artifact.errors import InputError
-
-
-def circumradius(corners: Tensor) -> Tensor:
-    """Return the circumradii (n,) of simplices with `corners` (n,k,3), k = 1 (radius 0), 2, 3 or 4.
-
-    Dtype and device are those of the corners. Differentiable once, by the closed form above. Use float64: the
-    Gabriel gate compares at 1e-6. Raises InputError for another shape or an integer dtype.
-    """
-    if (
-        corners.ndim != 3
-        or corners.shape[1] not in (1, 2, 3, 4)
-        or corners.shape[2] != 3
-        or not corners.is_floating_point()
-    ):
-        raise InputError(
-            "corners must be floating point of shape (n, 1 to 4, 3), "
-            f"got {corners.dtype} {tuple(corners.shape)}"
-        )
-    return _Circumradius.apply(corners)
+TOLERANCE = 1e-6  # relative (paper §3.2)
+NEAREST = 4  # candidate cofaces that are tried, best match first
 
 
 def radius_and_gradient(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,24 +41,60 @@ def radius_and_gradient(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Rows last: one corner's coordinate of all simplices lies together, so thousands of them cost little.
     rows_last = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
     with np.errstate(all="ignore"):  # a flat simplex overflows on purpose and is masked in `_finish`
-        radius, gradient = _KERNELS[corners.shape[1]](rows_last)
-    return radius, np.moveaxis(gradient, -1, 0)
+        # Each simplex is scaled by a power of two, which is exact: no product over- or underflows.
+        relative = rows_last - rows_last[0]
+        exponents = np.frexp(np.abs(relative).max(axis=(0, 1)))[1]
+        radius, gradient = _KERNELS[corners.shape[1]](np.ldexp(relative, -exponents))
+    return np.ldexp(radius, exponents), np.moveaxis(gradient, -1, 0)
 
 
-class _Circumradius(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, corners: Tensor) -> Tensor:
-        # numpy: for the handful of simplices of a plan its calls cost a fraction of torch's.
-        radius, gradient = radius_and_gradient(corners.detach().cpu().double().numpy())
-        ctx.save_for_backward(torch.from_numpy(gradient).to(corners))
-        return torch.from_numpy(radius).to(corners)
+def own_radii(cloud: np.ndarray, simplices: np.ndarray) -> np.ndarray:
+    """Return the circumradii (n,) of `simplices` (n,k) int64 into `cloud` (M,3) float64, unit of the
+    cloud.
+    """
+    if not len(simplices):
+        return np.zeros(0)
+    return radius_and_gradient(cloud[simplices])[0]
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> Tensor:
-        (gradient,) = ctx.saved_tensors
-        # A flat simplex has gradient 0; an infinite upstream value must not turn that into NaN.
-        return torch.where(gradient == 0, gradient, upstream[:, None, None] * gradient)
+
+def passes_gate(
+    cloud: np.ndarray, simplices: np.ndarray, values: np.ndarray, tolerance: float = TOLERANCE
+) -> np.ndarray:
+    """Return the mask (n,) of simplices (n,k) whose circumradius is relatively their filtration value (n,).
+
+    values: radii, like the cloud (M,3) in one unit.
+    """
+    return np.abs(own_radii(cloud, simplices) - values) <= tolerance * np.abs(values)
+
+
+def coface_of_value(
+    cloud: np.ndarray, simplex: np.ndarray, value: float, tolerance: float = TOLERANCE
+) -> np.ndarray | None:
+    """Return the coface (k+1,) of `simplex` (k,) with one more sample whose circumradius is `value`, or None.
+
+    Only a coface may be differentiated in the simplex's place that itself has an empty circumsphere, that is,
+    no sample strictly inside; the best match is taken.
+    """
+    if len(simplex) not in (2, 3):
+        return None
+    others = np.setdiff1d(np.arange(len(cloud)), simplex)
+    candidates = np.column_stack([np.broadcast_to(simplex, (len(others), len(simplex))), others])
+    error = np.abs(own_radii(cloud, candidates) - value)
+    for row in np.argsort(error, kind="stable")[:NEAREST]:
+        if error[row] <= tolerance * abs(value) and _is_empty(cloud, candidates[row], value):
+            return candidates[row]
+    return None
+
+
+def _is_empty(cloud: np.ndarray, simplex: np.ndarray, radius: float) -> bool:
+    """Return whether no sample lies strictly inside the smallest circumsphere, of `radius`, of `simplex`."""
+    points = cloud[simplex]
+    edges = points[1:] - points[0]
+    # The least-norm solution is the circumcentre in the simplex's own plane, relative to its first corner.
+    centre = points[0] + np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]
+    distances = np.linalg.norm(cloud - centre, axis=1)
+    distances[simplex] = np.inf
+    return bool(distances.min() >= radius * (1 - TOLERANCE))
 
 
 # Below: corners and gradients (k,3,n), vectors (3,n), numbers (n,).

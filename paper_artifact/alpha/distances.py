@@ -1,0 +1,267 @@
+"""Distances of persistence diagrams, pictures of them: bottleneck, Wasserstein, persistence images.
+
+The bottleneck distance is exact and made for large diagrams.
+
+Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all of them near the diagonal. These
+facts make the distance cheap; c is the distance, h a bar's half lifetime (its L-infinity distance to the
+diagonal), d the L-infinity distance of two bars, and `a`, `b` are bars (k,2), (l,2) of one dimension, births
+and deaths in any one unit.
+
+1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value,
+   is at most c; often c = L.
+2. c <= t holds iff the bars of a with h > t can all be matched to different bars of b with d <= t, and the
+   other way round: matchings that cover either side combine to one that covers both (Mendelsohn and Dulmage
+   1958), the rest goes to the diagonal.
+3. A bar with at least as many partners in reach as there are bars to match can be matched last, whatever the
+   others take. Leaving such bars out, again and again, reduces the matching of fact 2 to a few bars.
+
+On 20,000 samples of a sphere this takes .02–.07 s of CPU a dimension, gudhi.bottleneck_distance (3.13) .2–4.2
+s. The latter returns a slightly larger value than an exhaustive search for about one in 3,000 small random
+diagrams (more with e = 0); this one and gudhi.hera.bottleneck_distance with delta = 0 never did, so the tests
+compare with hera (which returns 0 for distances near 1e-13).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.spatial import cKDTree
+
+from paper_artifact.errors import InputError
+
+
+def bottleneck(a: Any, b: Any) -> float:
+    """Return the bottleneck distance (L-infinity) of bars a (k,2) and b (l,2), in the bars' own unit.
+
+    Exact up to rounding (1 ulp of a death); either side may be empty. A bar that never dies (death inf) is
+    matched with one of the other side; the distance is inf when their numbers differ. Raises InputError for
+    another shape, NaN, or a death below its birth.
+    """
+    (a, a_births), (b, b_births) = _split(_bars(a)), _split(_bars(b))
+    if len(a_births) != len(b_births):
+        return np.inf
+    never = float(np.abs(np.sort(a_births) - np.sort(b_births)).max(initial=0.0))
+    return max(never, _finite_bottleneck(a, b))
+
+
+def _bars(bars: Any) -> np.ndarray:
+    """Return bars as a (k,2) float64 array, detached; raise InputError where they are no bars."""
+    bars = getattr(bars, "diagram", getattr(bars, "bars", bars))
+    try:
+        array = np.asarray(bars.detach().cpu().double() if hasattr(bars, "detach") else bars)
+        array = array.astype(np.float64) if array.dtype.kind in "iufO" else np.full((1, 2), np.nan)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the bars are not numbers ({error}); give a (k, 2) array") from error
+    if array.shape == (0,):
+        array = array.reshape(0, 2)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InputError(f"the bars have shape {array.shape}; give births and deaths as a (k, 2) array")
+    if not (np.isfinite(array[:, 0]) & (array[:, 1] >= array[:, 0])).all():
+        raise InputError("a bar has a birth that is no finite number or a death below it; remove such bars")
+    return array
+
+
+def _split(bars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the finite bars (k,2) and the births (m,) of those that never die."""
+    never = np.isinf(bars[:, 1])
+    return bars[~never], bars[never, 0]
+
+
+def _finite_bottleneck(a: np.ndarray, b: np.ndarray) -> float:
+    low = max(_nearest_cost(a, b), _nearest_cost(b, a))
+    if not len(a) or not len(b):
+        return low
+    if not a[:, 0].any() and not b[:, 0].any():  # dimension 0: bars on a ray
+        a, b = np.sort(a[:, 1]), np.sort(b[:, 1])
+        longest = max(a[-1], b[-1]) / 2
+        return _least(
+            low, longest, lambda bound: _covered_on_a_ray(a, b, bound) and _covered_on_a_ray(b, a, bound)
+        )
+    tree_a, tree_b = cKDTree(a), cKDTree(b)
+    longest = max(_half(a).max(), _half(b).max())
+    return _least(
+        low, float(longest), lambda bound: _covered(a, tree_b, bound) and _covered(b, tree_a, bound)
+    )
+
+
+def _half(bars: np.ndarray) -> np.ndarray:
+    return (bars[:, 1] - bars[:, 0]) / 2
+
+
+def _nearest_cost(bars: np.ndarray, others: np.ndarray) -> float:
+    """Return fact 1's lower bound: the largest min(half lifetime, distance to the nearest other)."""
+    if not len(bars):
+        return 0.0
+    if not len(others):
+        return float(_half(bars).max())
+    distances, _ = cKDTree(others).query(bars, p=np.inf)
+    return float(np.minimum(_half(bars), distances).max())
+
+
+def _least(low: float, high: float, feasible) -> float:
+    """Return the least feasible bound in [low, high], to the last float; high and all above are feasible."""
+    high = max(low, high)
+    if feasible(low):
+        return low
+    while True:
+        middle = (low + high) / 2
+        if not low < middle < high:
+            return high
+        if feasible(middle):
+            high = middle
+        else:
+            low = middle
+
+
+def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
+    """Return whether all bars of half lifetime > bound can have different partners in reach (facts 2, 3)."""
+    needy = bars[_half(bars) > bound]
+    if not len(needy):
+        return True
+    reach = others.query_ball_point(needy, bound, p=np.inf, return_length=True)
+    order = np.argsort(reach, kind="stable")
+    tight = np.flatnonzero(reach[order] < np.arange(1, len(needy) + 1))
+    if not len(tight):
+        return True
+    needy, reach = needy[order[: tight[-1] + 1]], reach[order[: tight[-1] + 1]]
+    if reach[0] == 0:
+        return False
+    partners = np.concatenate(others.query_ball_point(needy, bound, p=np.inf)).astype(np.int32)
+    used, columns = np.unique(partners, return_inverse=True)
+    if len(used) < len(needy):
+        return False
+    starts = np.concatenate([[0], np.cumsum(reach)]).astype(np.int32)
+    graph = csr_array(
+        (np.ones(len(columns), dtype=bool), columns.astype(np.int32), starts), shape=(len(needy), len(used))
+    )
+    return bool((maximum_bipartite_matching(graph, perm_type="column") >= 0).all())
+
+
+def _covered_on_a_ray(deaths: np.ndarray, others: np.ndarray, bound: float) -> bool:
+    """Return `_covered` for bars born at 0, given sorted deaths: each takes the first free partner."""
+    needy = deaths[deaths / 2 > bound]
+    if not len(needy):
+        return True
+    # partner[i] = max(partner[i-1] + 1, first in reach of i), written as a running maximum.
+    order = np.arange(len(needy))
+    partner = np.maximum.accumulate(np.searchsorted(others, needy - bound) - order) + order
+    return bool(partner[-1] < len(others) and (others[partner] <= needy + bound).all())
+
+
+def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) -> Any:
+    """Return the Wasserstein distance of bars a (k,2) and b (l,2): a float, or for tensors a scalar tensor.
+
+    (Σ d^order)^(1/order) over the best matching, d the distance of two bars or of a bar and the diagonal in
+    the norm L^internal. For tensors it is differentiable by both; the matching is that of their values. Bars
+    that never die as in `bottleneck`. Solved exactly, k × l numbers of memory: for some thousands of bars.
+    Raises InputError as `bottleneck` does, or for an order or norm below 1.
+    """
+    if not (order >= 1 and internal >= 1):
+        raise InputError(f"order is {order} and internal {internal}; give numbers of at least 1")
+    x, y = _bars(a), _bars(b)
+    never = [np.flatnonzero(np.isinf(each[:, 1])) for each in (x, y)]
+    if len(never[0]) != len(never[1]):
+        return np.inf
+    some_x, some_y = (np.flatnonzero(np.isfinite(each[:, 1])) for each in (x, y))
+    half = 2.0 ** (1.0 / internal - 1.0)  # a bar's distance to the diagonal, per lifetime
+    alone = [(half * (each[rows, 1] - each[rows, 0])) ** order for each, rows in ((x, some_x), (y, some_y))]
+    between = np.linalg.norm(x[some_x][:, None] - y[some_y][None], internal, axis=2) ** order
+    gain = np.minimum(between - alone[0][:, None] - alone[1][None], 0.0)  # of a pair, over both alone
+    rows, columns = linear_sum_assignment(gain)
+    real = gain[rows, columns] < 0.0
+    rows, columns = some_x[rows[real]], some_y[columns[real]]
+    left = np.setdiff1d(some_x, rows), np.setdiff1d(some_y, columns)
+    by_birth = never[0][np.argsort(x[never[0], 0])], never[1][np.argsort(y[never[1], 0])]
+    if not (hasattr(a, "detach") or hasattr(b, "detach")):
+        costs = [
+            np.linalg.norm(x[rows] - y[columns], internal, axis=1),
+            *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
+            np.abs(x[by_birth[0], 0] - y[by_birth[1], 0]),
+        ]
+        return float(np.linalg.norm(np.concatenate(costs), order))
+    import torch
+
+    like = a if hasattr(a, "detach") else b
+    a, b = (
+        each if hasattr(each, "detach") else torch.as_tensor(bars).to(like) for each, bars in ((a, x), (b, y))
+    )
+    parts = [
+        torch.linalg.vector_norm(a[rows] - b[columns], internal, dim=1),
+        *(half * (each[some, 1] - each[some, 0]) for each, some in zip((a, b), left, strict=True)),
+        (a[by_birth[0], 0] - b[by_birth[1], 0]).abs(),
+    ]
+    return torch.linalg.vector_norm(torch.cat(parts), order)
+
+
+def persistence_image(
+    bars: Any,
+    resolution: int = 20,
+    bandwidth: float | None = None,
+    span: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    power: float = 1.0,
+) -> Any:
+    """Return the persistence image (resolution, resolution) of bars (k,2): rows lifetimes, columns births.
+
+    Each finite bar adds lifetime^power times a Gaussian of standard deviation `bandwidth` (default: a pixel's
+    larger side) at (birth, lifetime), evaluated at the pixels' centres; bars that never die are left out.
+    span: ((least, largest birth), (least, largest lifetime)), default that of the bars; give one to compare
+    images. A tensor for a tensor, differentiable; a float64 array otherwise. Raises InputError as
+    `bottleneck` does, or for a span or bandwidth that is not positive.
+    """
+    array = _bars(bars)
+    keep = np.flatnonzero(np.isfinite(array[:, 1]))
+    array = array[keep]
+    lives = array[:, 1] - array[:, 0]
+    if span is None:
+        span = (_range(array[:, 0]), (0.0, float(lives.max(initial=0.0)) or 1.0))
+    pixels = [(high - low) / resolution for low, high in span]
+    bandwidth = max(pixels) if bandwidth is None else bandwidth
+    if not (resolution >= 1 and min(pixels) > 0 and bandwidth > 0):
+        raise InputError("resolution, span and bandwidth of a persistence image must be positive")
+    centres = [
+        low + pixel * (np.arange(resolution) + 0.5) for (low, _), pixel in zip(span, pixels, strict=True)
+    ]
+    library: Any = np
+    if hasattr(bars, "detach"):
+        import torch
+
+        library, array = torch, bars[keep]
+        lives = array[:, 1] - array[:, 0]
+        centres = [torch.as_tensor(each).to(array) for each in centres]
+    births, heights = (
+        library.exp(-(((axis[None] - values[:, None]) / bandwidth) ** 2) / 2)
+        for axis, values in zip(centres, (array[:, 0], lives), strict=True)
+    )
+    return heights.T @ (births * (lives**power)[:, None]) / (2 * np.pi * bandwidth**2)
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    return (low, high) if low < high else (low - 0.5, high + 0.5)
+
+
+def plot_diagram(diagrams: Any, axes: Any = None) -> Any:
+    """Draw diagrams, one colour a dimension, and return the matplotlib axes.
+
+    diagrams: what `alpha_persistence` or `alpha_diagrams` returns, or arrays (k,2), one for each dimension.
+    Bars that never die lie on a dashed line on top.
+    """
+    import matplotlib.pyplot as plt
+
+    axes = plt.gca() if axes is None else axes
+    arrays = [_bars(each) for each in diagrams]
+    finite = np.concatenate([each[np.isfinite(each)] for each in arrays] + [np.zeros(1)])
+    low, high = _range(np.array([finite.min(), finite.max()]))
+    top = high + 0.1 * (high - low)
+    for dimension, each in enumerate(arrays):
+        axes.scatter(each[:, 0], np.minimum(each[:, 1], top), s=12, label=f"H{dimension}")
+    axes.plot([low, high], [low, high], color="0.6", linewidth=0.8)
+    if any(np.isinf(each).any() for each in arrays):
+        axes.axhline(top, color="0.6", linewidth=0.8, linestyle="--")
+    axes.set(xlabel="birth", ylabel="death", aspect="equal")
+    axes.legend()
+    return axes
