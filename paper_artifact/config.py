@@ -162,7 +162,7 @@ class GivenConfig:
     target: str | None = _setting(None, "of a scene: mesh or bundle.json, in a record its sha256")
     downscale: float = _setting(1.0, "of a scene: each photograph is made smaller by this factor", 1)
     background: str | None = _setting(None, "of a scene, see `scene.load.load_scene`")
-    holdout: str | None = _setting(None, "of a scene, see `scene.holdout.held_out`")
+    holdout: str | None = _setting(None, "of a scene, see `scene.load.held_out`")
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -194,7 +194,7 @@ class RunConfig:
     split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", above=0)
     dump_steps: tuple[int, ...] = _setting(DUMP_STEPS, "evaluated steps")
     samples: int = _setting(20_000, "surface samples of an evaluation", 4)
-    # What a scene of photographs does to training views and start (`paper_artifact.scene.perturb`); held-out
+    # What a scene of photographs does to training views and start (`paper_artifact.scene.build`); held-out
     # views and the truth of the evaluation stay clean. D is the mesh's diagonal.
     image_noise: float = _setting(0.0, "standard deviation per pixel and channel, of 1", 0, below=1.0)
     camera_noise: float = _setting(0.0, "standard deviation of a camera's centre, / D", 0, below=0.5)

@@ -38,10 +38,9 @@ from paper_artifact.record.store import (
     write_record,
 )
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder
+from paper_artifact.scene.build import Perturbation, SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.given import is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
-from paper_artifact.scene.perturb import Perturbation
 from paper_artifact.soup.allocation import allocating_resampler
 from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup

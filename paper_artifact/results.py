@@ -116,7 +116,7 @@ def load(profile: str = "recorded", studies: Iterable[str] = (), folder: Path = 
 
 def _retrain(names: Iterable[str]) -> Path:
     from paper_artifact.pipeline import run
-    from paper_artifact.scene.find import find_mesh
+    from paper_artifact.scene.shapes import find_mesh
 
     for name in names:
         for block in STUDIES[name]:

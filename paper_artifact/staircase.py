@@ -19,7 +19,7 @@ from paper_artifact.evaluate.staircase import KEPT, MULTIPLIER, longest, measure
 from paper_artifact.mesh import Mesh
 from paper_artifact.results import published
 from paper_artifact.sampling import face_areas
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.topology.floor import uniform_spacing
 
 KEYS = ["shape", "samples", "seed"]

@@ -105,7 +105,7 @@ def _scenes(folder: Path) -> dict[str, Sample]:
 def _pictures(folder: Path) -> dict[str, Sample]:
     """Return photographs as `photos` reads them, before structure from motion, and NeRF's RGBA views."""
     from paper_artifact.files import write_json
-    from paper_artifact.photos.prepare import photographs_in, prepared
+    from paper_artifact.photos.pictures import photographs_in, prepared
     from paper_artifact.scene import hull
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.transforms import TransformsConfig, transforms_scene

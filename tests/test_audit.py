@@ -27,7 +27,7 @@ from paper_artifact.mesh import checked_mesh
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.topology.bundle import load_bundle
 from paper_artifact.topology.floor import measurement_floor
 from tests import certify_shapes as shapes

@@ -17,8 +17,8 @@ from paper_artifact.scene.cameras import (
     look_at,
     world_to_clip,
 )
+from paper_artifact.scene.ground_truth import mesh_texture, solid_texture
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.scene.texture import mesh_texture, solid_texture
 
 
 def project(camera: Camera, point, near: float = 0.01, far: float = 100.0) -> tuple[np.ndarray, float]:

@@ -18,7 +18,7 @@ import pytest
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
 from paper_artifact.scene import fetch as fetching
-from paper_artifact.scene.sources import ROLES, TABLE, source, sources
+from paper_artifact.scene.fetch import ROLES, TABLE, source, sources
 
 BODY = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" * 400
 HEADER = "key,name,repository,commit,path,sha256,bytes,licence,role,member,member_sha256,notes\n"
@@ -36,8 +36,7 @@ ARCHIVE = _zip("deep/tri.ply", BODY)
 
 @pytest.fixture(autouse=True)
 def table(tmp_path, monkeypatch):
-    """A table with one plain mesh and one archive; no mirror beside the repository and none in the
-    environment.
+    """A table with one plain mesh and one archive; no mirror in the environment.
     """
     path = tmp_path / "meshes.csv"
     rows = [
@@ -53,7 +52,6 @@ def table(tmp_path, monkeypatch):
         + "gone,gone,,,,,,,not obtainable,,,nowhere to be had\n"
     )
     monkeypatch.setattr(fetching, "source", lambda key: source(key, path))
-    monkeypatch.setattr(fetching, "SIBLING_MIRROR", tmp_path / "no-sibling")
     monkeypatch.delenv(fetching.MIRROR_VARIABLE, raising=False)
     return path
 
@@ -175,25 +173,12 @@ def mirror_with(folder: Path, data: bytes) -> Path:
     return folder
 
 
-def test_mirrors_in_order_of_precedence(tmp_path, monkeypatch):
-    named, variable, sibling = (
-        mirror_with(tmp_path / name, BODY) for name in ("named", "variable", "sibling")
-    )
-    monkeypatch.setattr(fetching, "SIBLING_MIRROR", sibling)
-    assert fetching.fetch("tri", downloads=tmp_path / "1", quiet=True).origin == str(sibling)
+def test_a_named_mirror_comes_before_that_of_the_environment(tmp_path, monkeypatch):
+    named, variable = (mirror_with(tmp_path / name, BODY) for name in ("named", "variable"))
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(variable))
     assert fetching.fetch("tri", downloads=tmp_path / "2", quiet=True).origin == str(variable)
     assert fetching.fetch("tri", mirror=named, downloads=tmp_path / "3", quiet=True).origin == str(named)
     assert fetching.mesh_path("tri", downloads=tmp_path / "4").read_bytes() == BODY
-
-
-def test_sibling_without_the_file_falls_through_to_the_network(tmp_path, monkeypatch):
-    (tmp_path / "sibling").mkdir()
-    monkeypatch.setattr(fetching, "SIBLING_MIRROR", tmp_path / "sibling")
-    with server() as (url, asked):
-        assert fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True).origin.startswith(
-            url
-        )
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, renewed_folder,
 from paper_artifact.notebooks import figures_of
 from paper_artifact.record.store import find_records
 from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.scene.whole import whole_folder
 
 TINY = SceneConfig(views=2, size=8, supersample=1, points=4)
 WAYS = {

@@ -14,7 +14,7 @@ from paper_artifact.record.store import config_of, find_records, write_record
 from paper_artifact.report import gallery, generality
 from paper_artifact.report.kit import frames, tables
 from paper_artifact.report.kit.records import Collected, collect_study, soup_path
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from tests.report_records import study_record
 
 ARMS = ("C0", "C2", "C1")  # whose soups are committed

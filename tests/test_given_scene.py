@@ -25,8 +25,7 @@ from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
 from paper_artifact.scene.given import resolve
-from paper_artifact.scene.holdout import held_out
-from paper_artifact.scene.load import load_scene
+from paper_artifact.scene.load import held_out, load_scene
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.study.studies import STUDIES, Block
 from paper_artifact.topology.bundle import build_from_mesh

@@ -10,9 +10,8 @@ from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh
 from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, fibonacci_cameras, world_to_clip
-from paper_artifact.scene.ground_truth import background_colour, render_ground_truth
+from paper_artifact.scene.ground_truth import background_colour, mesh_texture, render_ground_truth
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.scene.texture import mesh_texture
 
 SIZE = 40
 

@@ -22,7 +22,7 @@ from paper_artifact.ingest.distance import distance_grid
 from paper_artifact.ingest.hot_pot import inventory, shells_as_indexed
 from paper_artifact.ingest.solidify import Solid, solidify, without_pockets, write_shell
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from tests import certify_shapes as shapes
 
 

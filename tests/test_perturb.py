@@ -12,10 +12,17 @@ import pytest
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import mesh_hash
-from paper_artifact.scene.build import SCENE_FORMAT, SceneConfig, build_scene, scene_key
+from paper_artifact.scene.build import (
+    SCENE_FORMAT,
+    Perturbation,
+    SceneConfig,
+    build_scene,
+    moved_camera,
+    perturbed_cloud,
+    scene_key,
+)
 from paper_artifact.scene.cameras import fibonacci_cameras
 from paper_artifact.scene.load import Scene, load_scene
-from paper_artifact.scene.perturb import Perturbation, moved_camera, perturbed_cloud
 from paper_artifact.scene.shapes import make_shape
 
 SMALL = SceneConfig(views=10, size=24, supersample=2, points=400)

@@ -8,7 +8,7 @@ import pytest
 
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
-from paper_artifact.scene import photo_sets as sets
+from paper_artifact.scene import fetch as sets
 from paper_artifact.scene.fetch import MIRROR_VARIABLE
 
 
@@ -28,7 +28,7 @@ def test_a_set_comes_whole_or_says_what_is_missing(tmp_path, monkeypatch, capsys
         rows.append(f"two,some/where,abc,{path},{hashlib.sha256(data).hexdigest()},{len(data)},free")
     (tmp_path / "table.csv").write_text("\n".join(rows) + "\n")
     known = sets.photo_sets(tmp_path / "table.csv")
-    for module in ("paper_artifact.scene.photo_sets", "paper_artifact.cli.scenes"):
+    for module in ("paper_artifact.scene.fetch", "paper_artifact.cli.scenes"):
         monkeypatch.setattr(f"{module}.photo_sets", lambda: known)
     monkeypatch.setenv(MIRROR_VARIABLE, str(mirror.parent))
     words = ["fetch", "two", "--out", str(tmp_path / "out"), "--quiet"]

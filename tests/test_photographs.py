@@ -19,8 +19,14 @@ from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli import main
 from paper_artifact.files import REPOSITORY
 from paper_artifact.mesh import load_mesh
-from paper_artifact.photos.exposure import even_out, fitted_exposures, to_shown
-from paper_artifact.photos.prepare import photographs_in, prepared, size_doubts
+from paper_artifact.photos.pictures import (
+    even_out,
+    fitted_exposures,
+    photographs_in,
+    prepared,
+    size_doubts,
+    to_shown,
+)
 from paper_artifact.photos.register import Registered
 from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright, useless
 from paper_artifact.randomness import stream

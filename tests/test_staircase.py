@@ -17,9 +17,8 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.ingest.hot_pot import pot_solid
 from paper_artifact.results import measured, published
-from paper_artifact.scene.find import find_mesh
-from paper_artifact.scene.shapes import make_shape
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.fetch import sources
+from paper_artifact.scene.shapes import find_mesh, make_shape
 from paper_artifact.study.dispositions import polygon_counts, same_certificate
 from paper_artifact.study.studies import STUDIES
 from paper_artifact.topology.bundle import build_from_mesh

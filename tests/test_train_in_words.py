@@ -33,7 +33,7 @@ def test_a_scene_without_its_mesh_is_trained(samples, results, monkeypatch):
     (folder,) = (results / "scenes").iterdir()
     (folder / "ground_truth.npz").unlink()
     monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)
-    monkeypatch.setattr("paper_artifact.scene.find.find_mesh", None)
+    monkeypatch.setattr("paper_artifact.scene.shapes.find_mesh", None)
     monkeypatch.setattr("paper_artifact.pipeline.build_from_mesh", None)
     monkeypatch.setattr("paper_artifact.topology.bundle.build_from_mesh", None)
     scene = load_scene(folder)

@@ -17,9 +17,8 @@ from paper_artifact.alpha import alpha_persistence
 from paper_artifact.catalogue import shape_row
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.build import SceneConfig
-from paper_artifact.scene.find import find_mesh
-from paper_artifact.scene.perturb import Perturbation, perturbed_cloud
+from paper_artifact.scene.build import Perturbation, SceneConfig, perturbed_cloud
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.topology.aims import smoothed
 from paper_artifact.topology.clean import cleaned, trimmed
 from paper_artifact.topology.floor import measurement_floor

@@ -8,7 +8,7 @@ import pandas as pd
 
 from paper_artifact.catalogue import shapes_of
 from paper_artifact.results import MEASURED, published
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.fetch import sources
 from paper_artifact.staircase import DENSITIES, SEEDS, staircases
 
 if __name__ == "__main__":

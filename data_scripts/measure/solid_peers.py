@@ -31,7 +31,7 @@ from paper_artifact.ingest.solidify import wanted_of
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import load_soup
 
 PITCH = 1 / 128  # voxel side / diagonal

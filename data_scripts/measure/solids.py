@@ -25,7 +25,7 @@ from paper_artifact.ingest.solidify import Rung, Wanted, wanted_of
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import record_path
 from paper_artifact.results import RETRAINED
-from paper_artifact.scene.find import find_mesh, surface
+from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.soup.state import load_soup
 
 ARMS, SEED = ("C0", "C1", "C2", "T1", "T2"), 0

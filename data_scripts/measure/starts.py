@@ -12,7 +12,7 @@ from paper_artifact.evaluate.scores import evaluate_soup, make_target
 from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.results import MEASURED
-from paper_artifact.scene.find import find_mesh, surface
+from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.loop import start_state
 

@@ -13,7 +13,7 @@ from common import Clock, cpu_name, one_thread, options, write
 from paper_artifact import results
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.topology.bundle import build_from_mesh
 from paper_artifact.topology.statement import Statement

@@ -17,7 +17,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.kernel_cache import PACKAGE
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.randomness import stream
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 
 COLD, KEPT, CLOSED = "empty cache", "second process", "no writable cache"
 _PROGRAM = """

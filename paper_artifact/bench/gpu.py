@@ -20,7 +20,7 @@ import torch
 from paper_artifact.catalogue import study_config
 from paper_artifact.train.loop import train
 from paper_artifact.pipeline import make_run_term, prepare_scene
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 shape, condition, steps, results = json.loads(sys.argv[1])
 mesh, config = find_mesh(shape), study_config(shape, condition, steps=steps)
 train(prepare_scene(config, mesh, Path(results) / "scenes"), config, term=make_run_term(config, mesh)[0],

@@ -16,8 +16,8 @@ from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.view import ViewCamera, ViewRaster, make_camera, to_clip
-from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.load import Scene
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend, TwinBackend
 from paper_artifact.train.loop import train

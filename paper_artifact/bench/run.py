@@ -15,7 +15,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.record.environment import peak_memory_mib
 from paper_artifact.train.loop import train
 from paper_artifact.pipeline import make_run_term, prepare_scene
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 shape, condition, steps, threads, results, changes = json.loads(sys.argv[1])
 torch.set_num_threads(1)
 set_thread_count(threads)

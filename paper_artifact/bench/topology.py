@@ -16,7 +16,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.randomness import stream
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.loss import TopologyLoss
 from paper_artifact.topology.samples import draw_samples, samples_stream

@@ -14,7 +14,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import mesh_triangles, soup_triangles
 from paper_artifact.export.viewer import shape_viewpoint, write_html
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import load_soup
 
 SEED = 0  # whose soups are committed

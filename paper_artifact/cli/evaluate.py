@@ -59,7 +59,7 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
-    from paper_artifact.scene.find import find_mesh
+    from paper_artifact.scene.shapes import find_mesh
 
     truth = None if options.target is None else find_mesh(options.target)
     draws = stream(options.seed, "evaluation samples")

@@ -44,8 +44,8 @@ def export(options: Export) -> int:
     from paper_artifact.export.models import mesh_triangles, soup_triangles, write_glb, write_ply
     from paper_artifact.export.renders import orbit_renders, scene_renders, sheet, write_png
     from paper_artifact.export.viewer import write_html
-    from paper_artifact.scene.find import find_mesh
     from paper_artifact.scene.load import load_scene
+    from paper_artifact.scene.shapes import find_mesh
     from paper_artifact.soup.state import load_frame, load_soup
 
     file = Path(options.soup)

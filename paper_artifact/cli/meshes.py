@@ -13,9 +13,8 @@ from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.files import RESULTS, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, betti_text
-from paper_artifact.scene.find import find_mesh
-from paper_artifact.scene.shapes import SHAPES
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.fetch import sources
+from paper_artifact.scene.shapes import SHAPES, find_mesh
 
 
 def _named() -> list[str]:

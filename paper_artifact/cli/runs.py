@@ -98,7 +98,7 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
         return config
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.rule import WORKING
-    from paper_artifact.scene.find import find_mesh
+    from paper_artifact.scene.shapes import find_mesh
 
     mesh = find_mesh(shape, welded=False)
     decision = audit_mesh(mesh, densities=WORKING, first_seed=loss.bundle_seed).decision

@@ -15,11 +15,10 @@ from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.scene import fetch as downloads
 from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.fetch import fetch_set, photo_sets, source, sources
 from paper_artifact.scene.ground_truth import BACKGROUNDS
-from paper_artifact.scene.holdout import EVERY
-from paper_artifact.scene.photo_sets import fetch_set, photo_sets
+from paper_artifact.scene.load import EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
-from paper_artifact.scene.sources import source, sources
 from paper_artifact.scene.transforms import CLOUDS, TransformsConfig, transforms_scene
 
 SURFACE, IMAGES = SceneConfig(), TransformsConfig()

@@ -28,7 +28,7 @@ from paper_artifact.ingest import solidify as shells
 from paper_artifact.ingest.solidify import CELLS, OFFSETS, check_ladder, wanted_of, write_shell
 from paper_artifact.ingest.solidify import check_format as check_shell_format
 from paper_artifact.mesh import betti_text
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.scene.subject import GROUND, RADIUS, subject_of_scene
 from paper_artifact.soup.state import Soup, load_frame, load_soup
 

@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.photos.exposure import relative_exposures
+from paper_artifact.photos.pictures import LEAST, relative_exposures
 
-LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 SEED = 0  # of COLMAP's RANSACs, which take a new one each time otherwise
 BLOCK = re.compile(rb"Processing block \[")  # in pycolmap's log, once for each block of pairs
 HINTS = (
@@ -93,7 +92,7 @@ def register(
         colmap.extract_features(database, pictures, image_names=[name], reader_options=reading)
     verification = colmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
-    blocks = -(-len(names) // colmap.ExhaustivePairingOptions().block_size) ** 2
+    blocks = -((-len(names) // colmap.ExhaustivePairingOptions().block_size) ** 2)
     _stage(
         ("matching", "block", blocks),
         lambda token: colmap.match_exhaustive(

@@ -1,7 +1,7 @@
 """A folder of photographs → COLMAP scene: scaled, registered (`register`), brought to one size, checked.
 
 The trainer has one size for all views: others are scaled and cropped to what is common. The scene's frame is
-turned so that +z is up in the mean picture, as its EXIF orientation has it (`prepare` does not apply that).
+turned so that +z is up in the mean picture, as its EXIF orientation has it (`pictures` does not apply that).
 """
 
 from __future__ import annotations
@@ -21,14 +21,12 @@ from scipy.spatial.transform import Rotation
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
-from paper_artifact.photos.exposure import even_out
-from paper_artifact.photos.prepare import LEVEL, QUALITY, photographs_in, prepared, size_doubts
+from paper_artifact.photos.pictures import LEVEL, QUALITY, even_out, photographs_in, prepared, size_doubts
 from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION
-from paper_artifact.scene.holdout import AUTO
-from paper_artifact.scene.whole import holds, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
+from paper_artifact.scene.load import AUTO
 
 FORMAT = 3  # raised whenever the same photographs would give another scene
 LARGEST_ERROR = 1.5  # pixels of reprojection above which a model is doubtful
@@ -42,7 +40,7 @@ class PhotosConfig:
 
     size: int = 800  # longest side of the scene's images, pixels
     features: int = 1600  # longest side of the pictures that features are found on, pixels
-    even: bool = True  # bring the photographs to one exposure, see `photos.exposure`
+    even: bool = True  # bring the photographs to one exposure, see `photos.pictures`
 
     def __post_init__(self) -> None:
         for name in ("size", "features"):

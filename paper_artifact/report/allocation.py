@@ -27,7 +27,7 @@ from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.tables import beside
 from paper_artifact.report.kit.text import NOT_RECORDED, arm_text, blank, counts_text, range_text
 from paper_artifact.sampling import face_areas
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.study.verdict import Verdict, verdict, welch_sigma
 from paper_artifact.topology.importance import ImportanceField
 

@@ -20,8 +20,7 @@ from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import image_rows
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.report.kit.tables import seed_table
-from paper_artifact.scene.find import surface
-from paper_artifact.scene.shapes import BOWL_RIMS
+from paper_artifact.scene.shapes import BOWL_RIMS, surface
 from paper_artifact.staircase import signature_table, staircase
 from paper_artifact.topology.bundle import build_from_mesh
 

@@ -21,7 +21,7 @@ from paper_artifact.report.kit.figures import SERIES, label_axis, legend_below, 
 from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 
 SIZES = (2048, 4096, 8192, 20_000)
 STAGES = ("delaunay", "filtration", "reduction", "pairs")

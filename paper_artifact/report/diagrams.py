@@ -23,7 +23,7 @@ from paper_artifact.plot import PAGE, draw_diagram, new_figure
 from paper_artifact.randomness import stream
 from paper_artifact.report.kit.figures import diagram_handles, legend_below
 from paper_artifact.report.kit.records import target_of
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.state import Soup
 from paper_artifact.topology.floor import measurement_floor

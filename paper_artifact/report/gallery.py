@@ -26,7 +26,7 @@ from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.figures import image_axis
 from paper_artifact.report.kit.records import Collected, soup_path
 from paper_artifact.report.kit.text import NOT_RECORDED, blank
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.study.verdict import LOSS
 from paper_artifact.topology.floor import measurement_floor

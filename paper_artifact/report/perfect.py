@@ -15,7 +15,7 @@ from paper_artifact.report.kit import frames
 from paper_artifact.report.kit.records import Collected, target_of
 from paper_artifact.report.kit.text import short, span
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.study.verdict import BASELINE, LOSS
 
 SEEDS = range(20)

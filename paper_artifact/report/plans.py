@@ -21,7 +21,7 @@ from paper_artifact.report.kit.published import published
 from paper_artifact.report.kit.records import Collected, collect_study, key
 from paper_artifact.report.kit.text import NOT_RECORDED, blank
 from paper_artifact.sampling import sample_surface
-from paper_artifact.scene.find import surface
+from paper_artifact.scene.shapes import surface
 from paper_artifact.topology.floor import measurement_floor
 
 # What becomes of a bar, with its colour and hatching.

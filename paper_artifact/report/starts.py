@@ -18,7 +18,7 @@ from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.report import measured
 from paper_artifact.report.kit.records import target_of
-from paper_artifact.scene.find import find_mesh
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.loop import start_state
 

@@ -1,17 +1,19 @@
-"""Bring external meshes: download at the pinned commit or copy from a mirror, check, put in place atomically.
+"""External meshes and photographs: tables of where each file is, at a pinned commit; fetch, check, put in place.
 
-`mesh_path("spot")` is what other code calls: it returns the path of the verified mesh file and fetches it if
-needed.
+No mesh and no photograph is part of the project. data_scripts/meshes.csv and photographs.csv say for each
+file where it is, what its bytes hash to, and its licence. `mesh_path("spot")` is what other code calls: it
+returns the path of the verified mesh file and fetches it if needed.
 
-Where a file comes from, first hit wins: `mirror`; the environment variable PAPER_ARTIFACT_MIRROR; the folder
-../shared/meshes beside the repository, if it holds the file; https://raw.githubusercontent.com. A mirror has
-the layout <owner>+<repository>/<path>. Files land in the git-ignored data_scripts/downloads/ in the same
+A file is read from `mirror` or the folder that the environment variable PAPER_ARTIFACT_MIRROR names, else
+from https://raw.githubusercontent.com. A mirror has the layout <owner>+<repository>/<path>. Files land in the git-ignored data_scripts/downloads/ in the same
 layout; a file appears there only whole and with the right sha256. An archive (horse.zip) is kept and its mesh
 unpacked beside it.
 """
 
 from __future__ import annotations
 
+import csv
+import difflib
 import hashlib
 import http.client
 import os
@@ -19,17 +21,17 @@ import urllib.error
 import urllib.parse
 import urllib.request
 import zipfile
-from pathlib import Path
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO, NamedTuple
 
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY, atomic_path, write_bytes
-from paper_artifact.scene.sources import Source, source
 
 DOWNLOADS = REPOSITORY / "data_scripts" / "downloads"
-SIBLING_MIRROR = REPOSITORY.parent / "shared" / "meshes"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
 RAW = "https://raw.githubusercontent.com"
 TIMEOUT = 30.0  # seconds without a byte
@@ -38,6 +40,138 @@ MIRROR_LAYOUT = "<owner>+<repository>/<path>"
 OFFLINE_HINT = (
     f"check the network, or point --mirror or {MIRROR_VARIABLE} to a folder that holds {MIRROR_LAYOUT}"
 )
+TABLE = REPOSITORY / "data_scripts" / "meshes.csv"
+ROLES = ("used", "set aside", "rejected", "comparison", "not obtainable")
+PHOTO_TABLE = REPOSITORY / "data_scripts" / "photographs.csv"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One external file: a row of the table.
+
+    Of the roles, "used", "set aside" and "rejected" are the paper's dispositions; "comparison" files are
+    other copies, kept to check the first three; "not obtainable" has no repository.
+    """
+
+    key: str  # its name on the command line
+    name: str  # in words
+    repository: str  # owner/name on GitHub
+    commit: str  # full hash
+    path: str  # of the file in the repository
+    sha256: str  # of the file, hex
+    bytes: int  # of the file
+    licence: str  # as its source states it
+    role: str  # one of ROLES
+    member: str  # of a zip: the file inside that holds the mesh; else ""
+    member_sha256: str  # of that file, hex; else ""
+    notes: str  # where it comes from, or why it cannot be had
+
+    @property
+    def obtainable(self) -> bool:
+        """Whether there is a repository to fetch from."""
+        return self.role != "not obtainable"
+
+    @property
+    def relative_path(self) -> Path:
+        """Where the file lies below a mirror and below the downloads folder: <owner>+<repository>/<path>."""
+        return Path(self.repository.replace("/", "+")) / self.path
+
+    @property
+    def relative_mesh_path(self) -> Path:
+        """Where the mesh lies below the downloads folder: the file, or its unpacked member beside it."""
+        return (
+            self.relative_path.with_name(PurePosixPath(self.member).name)
+            if self.member
+            else self.relative_path
+        )
+
+
+@cache
+def sources(table: Path = TABLE) -> dict[str, Source]:
+    """Return the table (key → Source, in file order).
+
+    Raises InputError when it is missing or a row does not parse.
+    """
+    try:
+        with open(table, newline="", encoding="utf-8") as handle:
+            rows = list(csv.DictReader(handle))
+    except OSError as error:
+        raise InputError(
+            f"cannot read the mesh table {table}: {error.strerror}; "
+            "external meshes need a checkout of the repository"
+        ) from error
+    result = {}
+    for number, row in enumerate(rows, start=2):
+        try:
+            entry = Source(**{**row, "bytes": int(row["bytes"] or 0)})
+        except (TypeError, ValueError, KeyError) as error:
+            raise InputError(
+                f"line {number} of the mesh table {table} is damaged; restore it with git"
+            ) from error
+        if entry.role not in ROLES:
+            raise InputError(
+                f"line {number} of the mesh table {table} has the unknown role '{entry.role}'; "
+                f"use one of {', '.join(ROLES)}"
+            )
+        result[entry.key] = entry
+    return result
+
+
+def source(key: str, table: Path = TABLE) -> Source:
+    """Return the row of `key`. Raises InputError for an unknown key, with the nearest known ones."""
+    known = sources(table)
+    if key not in known:
+        near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or list(known)
+        raise InputError(
+            f"no mesh is called '{key}'; known are {', '.join(near)} "
+            "(all: python -m paper_artifact fetch --list)"
+        )
+    return known[key]
+
+
+class PhotoSet(NamedTuple):
+    """One set: its files, all of one repository."""
+
+    name: str  # on the command line
+    files: tuple[Source, ...]  # as the table orders them
+    licence: str  # as its source states it
+
+    @property
+    def relative_folder(self) -> Path:
+        """The folder, below a mirror or the downloads, that holds all the files."""
+        parents = {file.relative_path.parent for file in self.files}
+        return min(parents, key=lambda parent: len(parent.parts))
+
+
+@cache
+def photo_sets(table: Path = PHOTO_TABLE) -> dict[str, PhotoSet]:
+    """Return the sets of the table by name; none where there is no table, as in an installed package.
+
+    The licence stands in a set's first row. Raises InputError for a damaged row.
+    """
+    if not table.is_file():
+        return {}
+    files: dict[str, list[Source]] = {}
+    licences: dict[str, str] = {}
+    with open(table, newline="", encoding="utf-8") as handle:
+        for number, row in enumerate(csv.DictReader(handle), start=2):
+            try:
+                name, licence = row.pop("set"), row["licence"]
+                path = Path(row["path"]).name
+                entry = Source(
+                    **{**row, "bytes": int(row["bytes"])},
+                    key=f"{name}/{path}",
+                    name=path,
+                    role="comparison",
+                    member="",
+                    member_sha256="",
+                    notes="",
+                )
+            except (TypeError, ValueError, KeyError) as error:
+                raise InputError(f"line {number} of {table} is damaged; restore it with git") from error
+            licences.setdefault(name, licence)
+            files.setdefault(name, []).append(entry)
+    return {name: PhotoSet(name, tuple(entries), licences[name]) for name, entries in files.items()}
 
 
 class Unreachable(InputError):
@@ -75,6 +209,22 @@ def fetch(
     return fetch_file(source(key), mirror=mirror, downloads=downloads, quiet=quiet, base_url=base_url)
 
 
+def fetch_set(
+    name: str, *, mirror: Path | str | None = None, downloads: Path = DOWNLOADS, quiet: bool = False
+) -> Fetched:
+    """Return the folder of a set, each file fetched and verified as `fetch` does, and their origin.
+
+    Files that are there already stay. Raises InputError as `fetch` does; run again, it goes on.
+    """
+    chosen = photo_sets()[name]
+    origins = [
+        fetch_file(entry, mirror=mirror, downloads=downloads, quiet=True, base_url=RAW).origin
+        for entry in tqdm(chosen.files, desc=f"fetch {name}", unit="file", leave=False, disable=quiet)
+    ]
+    came = [origin for origin in origins if origin != "already there"]
+    return Fetched(downloads / chosen.relative_folder, came[0] if came else "already there")
+
+
 def fetch_file(
     entry: Source, *, mirror: Path | str | None, downloads: Path, quiet: bool, base_url: str
 ) -> Fetched:
@@ -99,8 +249,6 @@ def _bring(entry: Source, target: Path, mirror: Path | str | None, quiet: bool, 
         folder = Path(asked).expanduser()
         if not folder.is_dir():
             raise InputError(f"the mirror {folder} is no folder; give the folder that holds {MIRROR_LAYOUT}")
-    elif (SIBLING_MIRROR / entry.relative_path).is_file():
-        folder = SIBLING_MIRROR
     else:
         return _download(entry, target, quiet, base_url)
     file = folder / entry.relative_path

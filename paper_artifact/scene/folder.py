@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import find_file, inside, load_json
+from paper_artifact.files import clear_partials, find_file, inside, load_json, partial_folder, write_failure
 from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
 
@@ -144,3 +147,46 @@ def scene_digest(root: Path) -> str:
 def sha256_of(data: bytes) -> str:
     """Return the sha256 (hex) of `data`."""
     return hashlib.sha256(data).hexdigest()
+
+
+def holds(folder: Path, key: str) -> bool:
+    """Return whether `folder` holds the scene with this key; False where it is missing or empty.
+
+    Raises InputError when it holds anything else, which is never overwritten.
+    """
+    clear_partials(folder)
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return False
+    try:
+        held = load_json(folder / DESCRIPTION)["key"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{folder} exists and is no scene of this package; choose another folder or remove it"
+        ) from error
+    if held != key:
+        raise InputError(
+            f"{folder} holds a scene of other images, or of another mesh or configuration; "
+            "choose another folder or remove it"
+        )
+    return True
+
+
+@contextmanager
+def whole_folder(folder: Path, key: str) -> Iterator[Path]:
+    """Yield a temporary folder of the same name, which takes the place of `folder` on a clean exit and is
+    removed otherwise.
+
+    Where another process made the scene of the same key meanwhile, that one stays. Raises InputError when it
+    cannot be written, or when anything else appeared at `folder`.
+    """
+    try:
+        with partial_folder(folder.parent) as held:
+            (temporary := held / folder.name).mkdir()
+            yield temporary
+            try:
+                os.rename(temporary, folder)
+            except OSError:
+                if not holds(folder, key):
+                    raise
+    except OSError as error:
+        raise write_failure(f"the scene to {folder}", error) from error

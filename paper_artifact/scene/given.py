@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from paper_artifact.config import NOISES, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, mesh_hash
-from paper_artifact.scene.find import find_mesh, is_named
 from paper_artifact.scene.folder import model_folder, scene_digest, scene_name, scene_root
+from paper_artifact.scene.shapes import find_mesh, is_named
 
 if TYPE_CHECKING:
     from paper_artifact.topology.bundle import Bundle

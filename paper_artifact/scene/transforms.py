@@ -29,12 +29,11 @@ from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, Intrinsics, Model, Pose, write_model
-from paper_artifact.scene.folder import DESCRIPTION
+from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
-from paper_artifact.scene.hull import hull_cloud, view_box
 from paper_artifact.scene.images import has_transparency, opened, sizes_told
 from paper_artifact.scene.lens import DISTORTION, least_zoom, undistorted
-from paper_artifact.scene.whole import holds, whole_folder
+from paper_artifact.scene.subject import hull_cloud, view_box
 
 FORMAT = 1  # raised whenever the same file would give another scene
 CLOUDS = ("hull", "random")

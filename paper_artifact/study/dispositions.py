@@ -16,8 +16,8 @@ import numpy as np
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
-from paper_artifact.scene.find import find_mesh
-from paper_artifact.scene.sources import sources
+from paper_artifact.scene.fetch import sources
+from paper_artifact.scene.shapes import find_mesh
 
 TABLE = REPOSITORY / "results" / "published" / "table_S12.csv"
 

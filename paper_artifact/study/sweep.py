@@ -15,8 +15,8 @@ from queue import SimpleQueue
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.record.store import read_record, recorded_path, write_record
-from paper_artifact.scene.find import find_mesh
 from paper_artifact.scene.given import is_own, resolve
+from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.study.estimate import Estimate, Outcome, Step, run_name
 from paper_artifact.study.worker import failure_of, start_run
 

@@ -20,7 +20,7 @@ from paper_artifact.evaluate.scores import Target, make_target
 from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import config_of, read_record, record_path, recorded_path
-from paper_artifact.scene.find import find_mesh, surface
+from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.study.studies import settings
 
 RETRAINED = RESULTS / "retrained"
