@@ -106,7 +106,7 @@ def _pictures(folder: Path) -> dict[str, Sample]:
     """Return photographs as `photos` reads them, before structure from motion, and NeRF's RGBA views."""
     from paper_artifact.files import write_json
     from paper_artifact.photos.pictures import photographs_in, prepared
-    from paper_artifact.scene import hull
+    from paper_artifact.scene import subject
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.transforms import TransformsConfig, transforms_scene
 
@@ -143,7 +143,7 @@ def _pictures(folder: Path) -> dict[str, Sample]:
 
     def transforms() -> object:
         # Coarser than the command's hull, which is not what is mutated, and takes three seconds.
-        with tempfile.TemporaryDirectory() as work, patch.multiple(hull, COARSE=8, FINE=16):
+        with tempfile.TemporaryDirectory() as work, patch.multiple(subject, COARSE=8, FINE=16):
             config = TransformsConfig(size=24, points=50)
             return load_scene(transforms_scene(nerf / "transforms.json", Path(work) / "scene", config))
 

@@ -192,10 +192,10 @@ def test_a_mirror_without_the_file(tmp_path, monkeypatch, refused, capsys):
     assert first.startswith("spot: the mirror ") and "has no readable" in first and "add the file" in first
     assert not (tmp_path / "out").exists()
 
-    from paper_artifact.scene import find
+    from paper_artifact.scene import shapes
 
     downloads = tmp_path / "downloads"
-    monkeypatch.setattr(find, "mesh_path", functools.partial(find.mesh_path, downloads=downloads))
+    monkeypatch.setattr(shapes, "mesh_path", functools.partial(shapes.mesh_path, downloads=downloads))
     for folder, words in ((mirror, "has no readable"), (str(tmp_path / "nowhere"), "is no folder")):
         monkeypatch.setenv("PAPER_ARTIFACT_MIRROR", folder)
         refused(["train", "spot", "--quiet", "--results", tmp_path / "results"], words)

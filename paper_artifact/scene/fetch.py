@@ -1,13 +1,13 @@
-"""External meshes and photographs: tables of where each file is, at a pinned commit; fetch, check, put in place.
+"""External meshes and photographs: where each file is, at a pinned commit; fetch, check, put in place.
 
 No mesh and no photograph is part of the project. data_scripts/meshes.csv and photographs.csv say for each
 file where it is, what its bytes hash to, and its licence. `mesh_path("spot")` is what other code calls: it
 returns the path of the verified mesh file and fetches it if needed.
 
 A file is read from `mirror` or the folder that the environment variable PAPER_ARTIFACT_MIRROR names, else
-from https://raw.githubusercontent.com. A mirror has the layout <owner>+<repository>/<path>. Files land in the git-ignored data_scripts/downloads/ in the same
-layout; a file appears there only whole and with the right sha256. An archive (horse.zip) is kept and its mesh
-unpacked beside it.
+from https://raw.githubusercontent.com. A mirror has the layout <owner>+<repository>/<path>. Files land in the
+git-ignored data_scripts/downloads/ in the same layout, whole and with the right sha256. An archive
+(horse.zip) is kept and its mesh unpacked beside it.
 """
 
 from __future__ import annotations
