@@ -12,13 +12,21 @@ import torch
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli.solids import offset_table
 from paper_artifact.errors import InputError
-from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup, write_solid
+from paper_artifact.export.solid import (
+    SoupSolid,
+    distances_to,
+    placed,
+    solidify_mesh,
+    solidify_soup,
+    write_solid,
+)
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.ingest.distance import nearest_on
 from paper_artifact.ingest.solidify import Rung, check_ladder, plateau, wanted_of
-from paper_artifact.mesh import load_mesh
+from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 from tests import certify_shapes as shapes
@@ -57,6 +65,31 @@ def test_a_torus_in_pieces_becomes_one_closed_torus():
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), solid.mesh.vertices[::97]
     )[1]
     assert np.median(distance) < 0.1 * solid.rung.offset * solid.diagonal, "it has gone back to the soup"
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6])
+def test_a_damaged_mesh_becomes_one_closed_torus(far):
+    """A double sheet with holes: two tori, one inside the other, without a tenth of the triangles."""
+    torus = make_shape("torus")
+    normals = trimesh.Trimesh(torus.vertices, torus.faces, process=False).vertex_normals
+    inner = (torus.vertices - 0.02 * normals, torus.faces[:, ::-1])
+    vertices, faces = shapes.joined((torus.vertices, torus.faces), inner)
+    kept = faces[np.random.default_rng(0).random(len(faces)) > 0.1]
+    damaged = checked_mesh(vertices + far, kept, "scan")
+    assert not certify_mesh(damaged).passed
+    rungs = []
+    solid = solidify_mesh(damaged, (1, 2, 1), (0.03,), 2.0, rungs.append)
+    assert solid.certificate.passed and solid.certificate.betti == (1, 2, 1) and len(rungs) == 1
+    assert solid.crossings == 0 and np.allclose(solid.colours, 0.7) and solid.hollow == ()
+    whole = Mesh(torus.vertices + far, torus.faces, "torus")
+    assert distances_to(placed(solid.mesh, solid.frame), whole, samples=4000)["hausdorff95"] < 0.02
+
+
+def test_a_thin_wall_has_the_numbers_but_no_inside():
+    solid = solidify_mesh(
+        checked_mesh(*shapes.bowl(), "bowl"), (1, 0, 1), (0.02, 0.03), 2.0, lambda rung: None
+    )
+    assert solid.mesh is None and solid.hollow == solid.rungs
 
 
 def test_colours_are_the_soups():

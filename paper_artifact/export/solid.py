@@ -21,7 +21,7 @@ from paper_artifact.export.models import (
     soup_triangles,
     srgb_to_linear,
 )
-from paper_artifact.frame import SAME, Frame
+from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.ingest.crossings import retract
 from paper_artifact.ingest.solidify import (
     CELLS,
@@ -40,6 +40,7 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.soup.state import Soup
 
 FORMATS = (".ply", ".glb")
+GREY = 0.7  # sRGB of a solid of a mesh
 SAMPLES = 20_000  # per surface, as an evaluation has
 
 
@@ -59,6 +60,13 @@ class SoupSolid:
     crossings: int | None = None
     certificate: Certificate | None = None  # of `mesh`
     frame: Frame = SAME  # of the soup's coordinates; what is written and `to_json` have the user's
+
+    @property
+    def hollow(self) -> tuple[Rung, ...]:
+        """The rungs with the wanted Betti numbers that enclose too little of their volume to be a body."""
+        return tuple(
+            rung for rung in self.rungs if rung.betti == self.wanted.betti and not rung.meets(self.wanted)
+        )
 
     def to_json(self) -> dict:
         """Return a JSON-able dict: wanted, every rung, and of the solid ε, certificate and checks."""
@@ -104,9 +112,32 @@ def solidify_soup(
     diagonal; cells: grid cells per offset; progress, enough: see `climb`; frame: of the soup's coordinates.
     Raises InputError for what cannot be wanted, bad offsets, and as `opaque_mesh` does.
     """
-    wanted = None if betti is None else wanted_of(betti)
     shown = soup_triangles(soup).visible()
-    raw = opaque_mesh(shown, name)
+    return _solid_of(
+        opaque_mesh(shown, name), shown.colours, betti, offsets, cells, name, progress, enough, frame
+    )
+
+
+def solidify_mesh(
+    mesh: Mesh,
+    betti: Sequence[int] | None,
+    offsets: Iterable[float],
+    cells: float,
+    progress: Callable[[Rung], None],
+) -> SoupSolid:
+    """Return the SoupSolid of a mesh, grey: of double sheets, scans with holes, shells that intersect.
+
+    The arguments are those of `solidify_soup`, which it raises as.
+    """
+    frame = frame_for(mesh.centre, mesh.radius)
+    raw = mesh.framed(frame)
+    colours = np.full((len(mesh.faces), 3, 3), GREY, dtype=np.float32)
+    return _solid_of(raw, colours, betti, offsets, cells, mesh.name, progress, None, frame)
+
+
+def _solid_of(raw, colours, betti, offsets, cells, name, progress, enough, frame) -> SoupSolid:
+    """Return the SoupSolid of a raw mesh (F triangles) with the colours (F,3,3) of its corners."""
+    wanted = None if betti is None else wanted_of(betti)
     rungs = climb(raw, offsets, cells, progress, enough)
     if wanted is None:
         longest = plateau(rungs)
@@ -122,12 +153,12 @@ def solidify_soup(
             certificate = certify_mesh(shell)
         if not (certificate.passed and certificate.betti == rung.betti):
             continue
-        colours = np.einsum("ij,ijk->ik", back.nearest.weights, shown.colours[back.nearest.triangle])
+        blended = np.einsum("ij,ijk->ik", back.nearest.weights, colours[back.nearest.triangle])
         return replace(
             result,
             rung=rung,
             mesh=replace(back.mesh, name=f"{name} solid", betti=certificate.betti),
-            colours=colours.astype(np.float32),
+            colours=blended.astype(np.float32),
             moved=back.moved,
             crossings=back.crossings,
             certificate=certificate,
