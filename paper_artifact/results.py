@@ -20,7 +20,7 @@ import os
 import pickle
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ import numpy as np
 import pandas as pd
 
 from paper_artifact.catalogue import CONDITIONS, SHAPES, shape_row, study_config
+from paper_artifact.config import AllocationConfig, LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY, RESULTS, atomic_path
 from paper_artifact.record.store import read_record, recorded_path
@@ -169,7 +170,10 @@ def _read(paths: list[Path]) -> tuple[pd.DataFrame, ...]:
         for entry in record.get("topology") or ():
             if entry["event"] == "refresh" and "dimensions" in entry:
                 refreshes += [{"run": path.stem} | each for each in _refresh_rows(entry)]
+    settings = [f"loss_{field.name}" for field in fields(LossConfig)]
+    settings += [f"allocation_{field.name}" for field in fields(AllocationConfig)]
     frame = pd.DataFrame(runs)
+    frame = frame.reindex(columns=[*frame, *(name for name in settings if name not in frame)])
     if len(frame):
         frame["expected"] = _expected(frame)
     studies = pd.DataFrame(_study_rows({row["run"] for row in runs}, paths[0].parent if paths else RESULTS))

@@ -62,11 +62,8 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
     rows = {}
     for shape, own in runs.groupby("shape", observed=True):
         tails = {name: group["tail"].to_numpy() for name, group in own.groupby("condition", observed=True)}
-        chamfer = (
-            own.groupby("condition", observed=True)["chamfer"].mean()
-            if "chamfer" in own
-            else pd.Series(dtype=float)
-        )
+        groups = own.groupby("condition", observed=True)
+        chamfer = {name: group["chamfer"].to_numpy().mean() for name, group in groups} if "chamfer" in own else {}
         parity = chamfer.get(loss, math.nan) / chamfer.get(BASELINE, math.nan)
         present = [name for name in controls if name in tails]
         absent = [name for name in (BASELINE, loss) if name not in tails] + ([] if present else [controls[0]])

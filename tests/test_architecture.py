@@ -85,7 +85,7 @@ def test_an_arrow_that_runs_back_up_would_be_seen():
         "load(f'paper_artifact.study.{name}')",
     ):
         assert upward("paper_artifact.alpha.diagrams", source), source
-        assert not upward("paper_artifact.report.matrix", source), source
+        assert not upward("paper_artifact.results", source), source
 
 
 def test_no_two_modules_import_each_other():

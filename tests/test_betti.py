@@ -11,7 +11,6 @@ from paper_artifact.catalogue import get_condition, study_config
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.report.plans import refresh_table
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.topology import BettiLoss, cleaned
@@ -218,7 +217,6 @@ def test_a_term_audits_its_words_once_before_any_gradient():
     assert [event["event"] for event in term.log] == ["refresh", "audit", "refresh"]
     (warning,) = term.log[1]["warnings"]
     assert told == [f"step 22: {warning}"] and "no void" in warning and term.lambda_peak is None
-    assert len(refresh_table({"topology": term.log})) == 2
     resumed = words_of((1, 0, 0), tell=told.append)
     resumed.load_state(term.state())
     resumed.refresh_if_due(42, soup, None)

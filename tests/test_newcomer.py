@@ -54,29 +54,20 @@ print(json.dumps([before, [outcome.failure for outcome in outcomes], len(missing
 REPORT = """
 import json
 from pathlib import Path
-from matplotlib.colors import to_hex
-from paper_artifact.catalogue import colour_of, in_order
-from paper_artifact.record.store import find_records
-from paper_artifact.report.kit import frames, tables
-from paper_artifact.report.kit.records import Collected, command
-from paper_artifact.report.matrix import seed_figure
-from paper_artifact.study.verdict import rows_of, verdict
+from paper_artifact import plot, results
+from paper_artifact.verdict import arms, verdicts
 
-records = tuple(find_records("results/runs"))
-collected = Collected(records, (), Path("results"))
-matrix = tables.matrix_table(collected)
-lines = tables.trajectory_figure(collected).axes[0].get_lines()
-judged = verdict(rows_of(records), loss="C8")["pebble"]
+tables = results.load("recorded", ["pebbles"], Path("results/runs"))
+runs = tables.of("pebbles")
+judged = verdicts(runs, loss="C8").loc["pebble"]
 print(json.dumps({
-    "arms": frames.arms(collected)[["shape", "condition", "ratio"]].astype(str).values.tolist(),
-    "matrix": [matrix.index.tolist(), matrix.columns.tolist()],
-    "seeds": tables.seed_table(collected).reset_index()["condition"].tolist(),
-    "verdicts": tables.verdict_table(collected).index.tolist(),
-    "lines": {line.get_label(): to_hex(line.get_color()) for line in lines},
-    "bars": [to_hex(bar.get_facecolor()) for bar in seed_figure(collected).axes[0].patches],
-    "outcome": [judged.loss, judged.outcome, judged.dimension, sorted(judged.below)],
-    "losses": {record["config"]["condition"]: record["config"]["loss"] for record in records},
-    "command": command("pebble", "C8", 0),
+    "arms": [list(key) for key in arms(runs).index],
+    "ratio": float(arms(runs)["ratio"]["pebble", "C8"]),
+    "dumps": sorted(set(tables.dumps["condition"].astype(str))),
+    "colour": plot.style("C8")["color"],
+    "outcome": judged["outcome"],
+    "dimension": int(runs["dimension"].iloc[0]),
+    "loss": runs.set_index("condition")[["loss_rho", "loss_samples"]].loc["C8"].tolist(),
 }))
 """
 
@@ -149,14 +140,8 @@ def test_the_made_up_condition_and_shape_are_trained_swept_tabulated_plotted_and
     assert before == ["C0", "C2"], "what was trained alone is a run of the study"
     assert failures == [None, None] and left == 0
 
-    told = json.loads(fork.run("-c", REPORT).splitlines()[-1])
-    assert [arm[:2] for arm in told["arms"]] == [["pebble", "C0"], ["pebble", "C2"], ["pebble", "C8"]]
-    assert float(told["arms"][2][2]) > 0
-    assert told["matrix"] == [["C0", "C2", "C8"], [["pebble", "ours"], ["pebble", "paper"]]]
-    assert told["seeds"] == ["C0", "C2", "C8"] and told["verdicts"] == ["pebble"]
-    assert told["lines"]["C8"] == "#123456" and "#123456" in told["bars"]
-    loss, outcome, dimension, rivals = told["outcome"]
-    assert loss == "C8" and dimension == 2 and rivals == ["C0", "C2"] and outcome != "incomplete"
-    assert told["losses"]["C0"] is None and told["losses"]["C8"]["rho"] == 0.2
-    assert told["losses"]["C8"]["samples"] == 1024, "the loss takes the shape's own density"
-    assert told["command"].endswith("train pebble --condition C8 --seed 0")
+    said = json.loads(fork.run("-c", REPORT).splitlines()[-1])
+    assert said["arms"] == [["pebble", "C0"], ["pebble", "C2"], ["pebble", "C8"]] and said["ratio"] > 0
+    assert said["dumps"] == ["C0", "C2", "C8"] and said["colour"] == "#123456"
+    assert said["outcome"] != "incomplete" and said["dimension"] == 2
+    assert said["loss"] == [0.2, 1024], "the loss takes the shape's own density"

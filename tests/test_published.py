@@ -9,31 +9,31 @@ import pytest
 
 from paper_artifact.catalogue import shapes_of
 from paper_artifact.errors import InputError
-from paper_artifact.report.kit import frames
-from paper_artifact.report.kit.published import PUBLISHED, published, tables
+from paper_artifact.results import PUBLISHED, published
 
 ROUNDING = 1e-4 + 1e-9  # half a last digit of the printed mean and of the printed seeds
 
 
-def test_every_table_is_there_and_described():
-    names = tables()
-    assert names[:15] == ["1", "2", *[f"S{i}" for i in range(1, 14)]]
+KEYS = ["shape", "condition"]
+
+
+def means(*tables):
+    """The paper's mean tails (all tables), one row per shape and condition, of the first table that has
+    it."""
+    frame = published(*(tables or ("1", "2", "S10", "noise", "ablations", "S7")), quantity="tail_bottleneck")
+    return frame[frame["seed"].isna()].drop_duplicates(KEYS).set_index(KEYS)
+
+
+def test_every_table_has_rows_sources_and_a_description():
+    every = published()
+    assert {"1", "2", *(f"S{number}" for number in range(1, 14))} <= set(every["table"])
+    assert (every["source"] != "").all() and every["value"].dtype == float and every["sd"].dtype == float
     readme = (PUBLISHED / "README.md").read_text()
     assert all(f"`{path.name}`" in readme for path in PUBLISHED.glob("*.csv"))
-    for name in names:
-        frame = published(name)
-        assert len(frame) and (frame["source"] != "").all()
-        if name not in ("S6", "S12"):
-            assert {"shape", "dimension", "condition", "quantity", "value", "sd", "seeds", "note"} <= set(
-                frame.columns
-            )
-            assert frame["value"].dtype == float and frame["sd"].dtype == float
-            assert (
-                not frame.drop(columns=["note", "value", "sd", "printed", "ratio"], errors="ignore")
-                .duplicated()
-                .any()
-                or name == "floor"
-            )
+    keys = every.drop(columns=["note", "value", "sd", "printed", "ratio"])
+    assert set(every[keys.duplicated()]["table"]) <= {"floor", "S12", "S6"}
+    texts = published("S6")
+    assert texts["value"].isna().all() and (texts["printed"] != "").any() and "NeRF" in set(texts["shape"])
 
 
 @pytest.mark.parametrize("shape", sorted(set(published("S7")["shape"])))
@@ -41,7 +41,7 @@ def test_every_table_is_there_and_described():
 def test_per_seed_values_have_the_printed_mean_and_sd(shape, condition):
     frame = published("S7")
     seeds = frame[(frame["shape"] == shape) & (frame["condition"] == condition)]["value"]
-    mean, sd = frames.paper_arms().set_index(frames.ARM).loc[(shape, condition), ["value", "sd"]]
+    mean, sd = means().loc[(shape, condition), ["value", "sd"]]
     assert len(seeds) == 3 and abs(seeds.mean() - mean) <= ROUNDING
     assert math.isnan(sd) or abs(seeds.std(ddof=1) - sd) <= ROUNDING
 
@@ -56,10 +56,8 @@ def test_bowls_per_seed_values_have_the_printed_mean_and_sd():
 
 
 def test_group_means_follow_from_table_2():
-    tails = frames.paper_arms("tail_bottleneck", "2").pivot(
-        index="shape", columns="condition", values="value"
-    )
-    for row in frames.paper("ratio_C0_over_C1", "2").itertuples():
+    tails = means("2")["value"].unstack("condition")
+    for row in published("2", quantity="ratio_C0_over_C1").itertuples():
         members, mean, sd = tails.loc[list(shapes_of(row.shape))], row.value, row.sd
         ratios = members["C0"] / members["C1"]
         assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(
@@ -68,8 +66,8 @@ def test_group_means_follow_from_table_2():
 
 
 def test_printed_factors_follow_from_the_values():
-    arms = frames.paper_arms().set_index(frames.ARM)
-    printed = arms[arms["ratio"] != ""]
+    arms = means()
+    printed = arms[arms["ratio"].notna()]
     assert printed.groupby("table").size().to_dict() == {"1": 6, "2": 8, "S10": 2, "noise": 4}
     for (shape, _), row in printed.iterrows():
         ratio = arms.loc[(shape, "C0"), "value"] / row["value"]
@@ -82,7 +80,7 @@ def test_pins_are_half_lifetimes():
         rows = frame[
             (frame["shape"] == shape) & (frame["quantity"] == "lifetime") & (frame["samples"] == 20000)
         ]
-        baseline = frames.paper_arms().set_index(frames.ARM).loc[(shape, "C0"), "value"]
+        baseline = means().loc[(shape, "C0"), "value"]
         assert rows["value"].iloc[0] / 2 == pytest.approx(baseline, abs=ROUNDING)
 
 
@@ -95,5 +93,5 @@ def test_window_of_the_floor_multiplier_follows_from_the_margins():
 
 
 def test_unknown_names_are_refused():
-    with pytest.raises(InputError, match="known: 1, 2, S1"):
+    with pytest.raises(InputError, match="no table 'S14' here; known: 1, 2"):
         published("S14")

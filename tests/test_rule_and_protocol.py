@@ -13,7 +13,7 @@ from paper_artifact.audit.rule import WORKING, Decision, Rung, decide
 from paper_artifact.catalogue import SHAPES, Shape
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.evaluate.staircase import KEPT
-from paper_artifact.report import measured
+from paper_artifact.results import measured
 from paper_artifact.scene.shapes import SHAPES as ANALYTIC
 from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.staircase import staircase
@@ -33,7 +33,7 @@ DIFFERENT = {
 def staircases() -> pd.DataFrame:
     """The stored ones, and the pot's, which notebook 11 measures."""
     pot = staircase(surface("pot"), WORKING, (0,))
-    return pd.concat([measured.read("staircase"), measured.read("group_wave"), pot], ignore_index=True)
+    return pd.concat([measured("staircase"), measured("group_wave"), pot], ignore_index=True)
 
 
 def rungs(shape: str, seed: int) -> list[Rung]:

@@ -99,7 +99,7 @@ def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     path = write_notebook(
         tmp_path / "01_drawn.ipynb",
         "from paper_artifact.plot import new_figure",
-        "from paper_artifact.report.kit.figures import show",
+        "from paper_artifact.plot import show",
         "figure, axes = new_figure(1, 1, 2, 2)",
         "axes[0][0].plot([1, 2], [3, 4])",
         "show('line', figure)",

@@ -1,18 +1,18 @@
-"""The verdict rule on hand-made rows and on the paper's own per-seed values."""
+"""The verdict rule and the claims on hand-made rows and on the paper's own per-seed values."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
+from paper_artifact.claims import Claims, mean_text, order_claims, side
 from paper_artifact.errors import InputError
-from paper_artifact.report.kit.frames import paper_verdicts
-from paper_artifact.report.kit.text import arm_text
-from paper_artifact.study.verdict import group_statistic, rows_of, verdict, welch_sigma
-from tests.report_records import study_record
+from paper_artifact.results import published
+from paper_artifact.verdict import arms, verdicts, welch
 
 # Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied).
 PER_SEED = {
@@ -37,161 +37,129 @@ PER_SEED = {
 }
 
 
-def rows(shape: str, chamfer: dict | None = None, **arms: tuple) -> list[dict]:
-    return [
+def rows(shape: str, chamfer: dict | None = None, **tails: tuple) -> pd.DataFrame:
+    return pd.DataFrame(
         {"shape": shape, "condition": condition, "seed": seed, "tail": tail}
         | ({"chamfer": chamfer[condition]} if chamfer else {})
-        for condition, tails in arms.items()
-        for seed, tail in enumerate(tails)
-    ]
-
-
-def per_seed_rows() -> list[dict]:
-    return [row for shape, (_, c0, c1, c2) in PER_SEED.items() for row in rows(shape, C0=c0, C1=c1, C2=c2)]
-
-
-def test_published_per_seed_values_give_the_papers_verdicts():
-    judged = verdict(per_seed_rows())
-    assert {shape: each.outcome for shape, each in judged.items()} == {
-        shape: values[0] for shape, values in PER_SEED.items()
-    }
-    assert (
-        sum(judged[shape].passed for shape in list(PER_SEED)[:8]) == 7
-    )  # seven of the eight external meshes
-    assert not judged["rocker-arm"].below["C0"] and not judged["two_spheres"].disjoint["C2"]
-
-
-def test_published_means_ratios_and_groups_are_reproduced():
-    judged = verdict(per_seed_rows())
-    assert (
-        arm_text(judged["bob"].arms["C1"].mean, judged["bob"].arms["C1"].sd, judged["bob"].ratio)
-        == ".0208±.0008 (2.05×)"
+        for condition, values in tails.items()
+        for seed, tail in enumerate(values)
     )
-    for shape, ratio in (
-        ("fandisk", 10.4),
-        ("armadillo", 4.1),
-        ("rocker-arm", 0.96),
-        ("cube", 7.9),
-        ("bowl_wide", 4.1),
-    ):
-        assert judged[shape].ratio == pytest.approx(ratio, abs=0.06)
-    loops = group_statistic(judged, ("bob", "rocker-arm", "eight"))
-    voids = group_statistic(judged, ("spot", "fandisk", "pot", "armadillo", "horse"))
-    assert loops == (pytest.approx(1.52, abs=0.01), pytest.approx(0.55, abs=0.01), 2)
-    assert voids == (pytest.approx(4.87, abs=0.02), pytest.approx(3.17, abs=0.03), 5)
-    with pytest.raises(InputError, match="missing: torus"):
-        group_statistic(judged, ("bob", "torus"))
 
 
-def test_welch_sigma_only_with_five_seeds_and_equal_to_scipys():
+@pytest.fixture(scope="module")
+def per_seed():
+    return pd.concat([rows(shape, C0=c0, C1=c1, C2=c2) for shape, (_, c0, c1, c2) in PER_SEED.items()])
+
+
+def test_published_per_seed_values_give_the_papers_verdicts(per_seed):
+    judged = verdicts(per_seed)
+    assert judged["outcome"].to_dict() == {shape: values[0] for shape, values in PER_SEED.items()}
+    for shape, ratio in (("fandisk", 10.4), ("armadillo", 4.1), ("rocker-arm", 0.96), ("cube", 7.9)):
+        assert judged.loc[shape, "ratio"] == pytest.approx(ratio, abs=0.06)
+    transcribed = published("S7", "S10", quantity="tail_bottleneck").dropna(subset="seed")
+    again = verdicts(transcribed.rename(columns={"value": "tail"}))["outcome"].to_dict()
+    assert again == {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
+
+
+def test_means_and_the_papers_groups_are_reproduced(per_seed):
+    table = arms(per_seed)
+    bob = table.loc[("bob", "C1")]
+    assert mean_text(bob["mean"], bob["sd"]) == ".0208±.0008" and bob["ratio"] == pytest.approx(
+        2.05, abs=0.01
+    )
+    assert (bob["seeds"], bob["low"], bob["high"]) == (3, 0.0200, 0.0216)
+    ratios = table["ratio"].xs("C1", level="condition")
+    loops, voids = (
+        ratios[["bob", "rocker-arm", "eight"]],
+        ratios[["spot", "fandisk", "pot", "armadillo", "horse"]],
+    )
+    assert (loops.mean(), loops.std()) == (pytest.approx(1.52, abs=0.01), pytest.approx(0.55, abs=0.01))
+    assert (voids.mean(), voids.std()) == (pytest.approx(4.87, abs=0.02), pytest.approx(3.17, abs=0.03))
+    assert table["ratio"].xs("C0", level="condition").isna().all()
+
+
+def test_welch_only_with_five_seeds_and_equal_to_scipys():
     a, b = np.random.default_rng(0).random((2, 5))
-    assert welch_sigma(a, b) == pytest.approx(stats.ttest_ind(a, b, equal_var=False).statistic, rel=1e-12)
-    assert welch_sigma(a[:4], b) is None and welch_sigma([1.0] * 5, [2.0] * 5) is None
+    assert welch(a, b) == pytest.approx(stats.ttest_ind(a, b, equal_var=False).statistic, rel=1e-12)
+    assert math.isnan(welch(a[:4], b)) and math.isnan(welch([1.0] * 5, [2.0] * 5))
     # The paper's sphere: .0623±.0063 against .0156±.0013, five seeds each, is 16.2 sigma.
     unit = np.array([-1, -0.5, 0, 0.5, 1]) / np.std([-1, -0.5, 0, 0.5, 1], ddof=1)
-    judged = verdict(
-        rows("sphere", C0=tuple(0.0623 + 0.0063 * unit), C1=tuple(0.0156 + 0.0013 * unit), C2=(0.1372,) * 5)
-    )["sphere"]
-    assert judged.welch["C0"] == pytest.approx(16.2, abs=0.05) and judged.passed
-    assert verdict(rows("sphere", C0=(0.06,) * 3, C1=(0.01, 0.02, 0.03), C2=(0.1,) * 3))["sphere"].welch == {}
+    tails = {"C0": tuple(0.0623 + 0.0063 * unit), "C1": tuple(0.0156 + 0.0013 * unit), "C2": (0.1372,) * 5}
+    judged = verdicts(rows("sphere", **tails)).loc["sphere"]
+    assert judged["welch"] == pytest.approx(16.2, abs=0.05) and judged["outcome"] == "pass"
 
 
-def test_every_outcome():
-    good = {"C0": (0.06, 0.07, 0.05), "C1": (0.01, 0.02, 0.015), "C2": (0.1, 0.1, 0.1)}
-    cases = {
-        "pass": good,
-        "no effect": {**good, "C1": (0.01, 0.02, 0.055)},
-        "worse": {**good, "C1": (0.08, 0.09, 0.085)},
-        "tied by control": {**good, "C2": (0.02, 0.03, 0.04)},
-        "beaten by control": {**good, "C2": (0.001, 0.002, 0.003)},
-        "saturated": {"C0": (0.03,) * 3, "C1": (0.03,) * 3, "C2": (0.03,) * 3},
-    }
-    for outcome, arms in cases.items():
-        assert verdict(rows("x", **arms))["x"].outcome == outcome
-    for missing in ("C0", "C1", "C2"):
-        judged = verdict(rows("x", **{name: tails for name, tails in good.items() if name != missing}))["x"]
-        assert judged.outcome == "incomplete" and missing in judged.reason
-    gentle = verdict(rows("x", **good, C2g=(0.012, 0.02, 0.03)))["x"]
-    assert (
-        gentle.outcome == "tied by control" and "C2g" in gentle.reason
-    )  # every control that was run must be beaten
+GOOD = {"C0": (0.06, 0.07, 0.05), "C1": (0.01, 0.02, 0.015), "C2": (0.1, 0.1, 0.1)}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "changes"),
+    [
+        ("pass", {}),
+        ("no effect", {"C1": (0.01, 0.02, 0.055)}),
+        ("worse", {"C1": (0.08, 0.09, 0.085)}),
+        ("tied by control", {"C2": (0.02, 0.03, 0.04)}),
+        ("tied by control", {"C2g": (0.012, 0.02, 0.03)}),  # every control that was run must be beaten
+        ("beaten by control", {"C2": (0.001, 0.002, 0.003)}),
+        ("saturated", {"C0": (0.03,) * 3, "C1": (0.03,) * 3, "C2": (0.03,) * 3}),
+    ],
+)
+def test_every_outcome(outcome, changes):
+    assert verdicts(rows("x", **GOOD | changes)).loc["x", "outcome"] == outcome
+
+
+@pytest.mark.parametrize("missing", ["C0", "C1", "C2"])
+def test_a_missing_arm_is_named(missing):
+    tails = {name: values for name, values in GOOD.items() if name != missing}
+    judged = verdicts(rows("x", **tails)).loc["x"]
+    assert judged["outcome"] == "incomplete" and missing in judged["reason"]
 
 
 def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
-    arms = {"C0": (0.06, 0.07), "C1": (0.01, 0.02), "C2": (0.1, 0.1)}
-    for chamfer, parity, outcome in ((0.0115, True, "pass"), (0.01151, False, "parity failed")):
-        judged = verdict(rows("x", {"C0": 0.01, "C1": chamfer, "C2": 0.02}, **arms))["x"]
-        assert (judged.parity, judged.outcome) == (parity, outcome)
-    unknown = verdict(rows("x", **arms))["x"]
-    assert unknown.parity is None and unknown.passed and "unknown" in unknown.reason
+    two = {name: tails[:2] for name, tails in GOOD.items()}
+    for chamfer, outcome in ((0.0115, "pass"), (0.01151, "parity failed")):
+        judged = verdicts(rows("x", {"C0": 0.01, "C1": chamfer, "C2": 0.02}, **two)).loc["x"]
+        assert judged["outcome"] == outcome and judged["chamfer_ratio"] == pytest.approx(chamfer / 0.01)
+    unknown = verdicts(rows("x", **GOOD)).loc["x"]
+    assert math.isnan(unknown["chamfer_ratio"]) and "unknown" in unknown["reason"]
 
 
-def test_phantoms_and_missing_features_are_counted_per_seed_and_do_not_decide():
-    made = rows("spot", C0=(0.06, 0.07, 0.05), C1=(0.01, 0.02, 0.015), C2=(0.1, 0.1, 0.1))
-    counts = {"C0": (2, 1, 2), "C1": (1, 2, 1), "C2": (0, 0, 0)}
-    for row in made:
-        row |= {"count": counts[row["condition"]][row["seed"]], "expected": 1}
-    judged = verdict(made)["spot"]
-    assert judged.passed
-    assert judged.phantoms == {"C0": (0, 2), "C1": (1,), "C2": ()} and judged.missing["C2"] == (0, 1, 2)
-    del made[0]["count"]
-    assert "C0" not in verdict(made)["spot"].phantoms
+def test_another_loss_is_judged_and_a_seed_twice_is_refused():
+    assert verdicts(rows("x", **GOOD, C8=(0.001, 0.002, 0.003)), loss="C8").loc["x", "outcome"] == "pass"
+    with pytest.raises(InputError, match="x C0 has seed 0 twice"):
+        verdicts(pd.concat([rows("x", **GOOD)] * 2))
+    assert verdicts(rows("x", **GOOD).iloc[:0]).empty
 
 
-def test_bad_rows_are_refused():
-    good = {"shape": "x", "condition": "C0", "seed": 0, "tail": 0.1}
-    for change in ({"tail": math.nan}, {"tail": None}, {"tail": -1.0}, {"tail": math.inf}, {"shape": None}):
-        with pytest.raises(InputError, match="finite tail"):
-            verdict([good | change])
-    with pytest.raises(InputError, match="seed 0 twice"):
-        verdict([good, good])
-    with pytest.raises(InputError, match="needs one"):
-        verdict([good | {"dimension": 1}, good | {"seed": 1, "dimension": 2}])
-    assert verdict([]) == {}
-
-
-def test_rows_of_records():
-    record = {
-        "config": {"shape": "two_spheres", "condition": "C1", "seed": 2},
-        "tails": {"bottleneck": [0.001, 0.2, 0.3], "counts": [1, 0, 2], "chamfer": 0.005},
-        "mesh": {"dimension": 0, "betti": [2, 0, 2]},
-        "bundle": {"bars": [[[0, 0.1]], [], []]},
-    }
-    assert rows_of([record, record | {"tails": {}}]) == [
-        {
-            "shape": "two_spheres",
-            "condition": "C1",
-            "seed": 2,
-            "dimension": 0,
-            "tail": 0.001,
-            "chamfer": 0.005,
-            "count": 1,
-            "expected": 1,
-        }
+def test_sides_of_two_arms():
+    assert [side(0.02, 0.001, 0.03, 0.002), side(0.03, 0.01, 0.02, 0.001), side(0.5, math.nan, 0.4, 0.1)] == [
+        -1,
+        0,
+        0,
     ]
-    assert rows_of([record | {"mesh": {"dimension": 0, "betti": None}}])[0]["expected"] == 1
+    assert side(0.0249, 0.0, 0.0248, 0.0) == 0, "the last printed digit"
+    made = rows("cube", C0=(0.06, 0.0601, 0.0602), C1=(0.01, 0.0101, 0.0102), C2=(0.05, 0.0501, 0.0502))
+    first, second = order_claims(
+        arms(made), published("1", quantity="tail_bottleneck"), [("C1", "C0"), ("C2", "C0")]
+    )
+    assert (first[3], second[3]) == (True, False), "the paper's control is above the baseline"
+    assert ".0101±.0001 below .0601±.0001" in first[1] and ".1346 above .0582" in second[2]
+    (lost,) = order_claims(
+        arms(made.query("condition != 'C2'")), published("1", quantity="tail_bottleneck"), [("C2", "C0")]
+    )
+    assert lost[1] == "not recorded" and lost[3] is None
 
 
-def test_transcribed_tables_give_the_same_verdicts():
-    """The committed transcription of the paper's per-seed tables, through the same rule."""
-    judged = paper_verdicts("S7", "S10")
-    expected = {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
-    assert {shape: each.outcome for shape, each in judged.items()} == expected
-    for shape, each in judged.items():
-        assert each.arms["C1"].tails == PER_SEED[shape][2] and each.arms["C2"].tails == PER_SEED[shape][3]
-
-
-def test_every_arm_of_a_shape_is_counted_against_the_same_number():
-    """The bundle's bars, also for C0, which has no bundle; Betti only where no record of the shape has
-    one."""
-    bob = [
-        study_record("bob", condition, 0, 0.02) for condition in ("C0", "C1")
-    ]  # no Betti numbers; two bars in its bundle
-    assert [row["expected"] for row in rows_of(bob)] == [2, 2] and [
-        row["expected"] for row in rows_of(bob[:1])
-    ] == [None]
-    disk = [record | {"mesh": record["mesh"] | {"betti": (1, 0, 0)}} for record in bob]
-    assert [row["expected"] for row in rows_of(disk)] == [2, 2]
-    genus_two = [record | {"mesh": record["mesh"] | {"betti": (1, 4, 1)}} for record in bob]
-    assert [row["expected"] for row in rows_of(genus_two)] == [2, 2]
-    assert [row["expected"] for row in rows_of(genus_two[:1])] == [4]
+def test_claims_are_written_once_and_their_items_exist(tmp_path):
+    claims = Claims("06_c_matrix")
+    claims.path = tmp_path / "claims.csv"
+    assert (
+        claims.add("Table 1", "a", 1, 2, False) is False
+        and claims.add("Fig. S3", "b", "x", "x", None) is None
+    )
+    assert claims.table()["holds"].tolist() == ["no", "not recorded"]
+    before = claims.path.stat().st_mtime_ns
+    claims.table()
+    assert claims.path.stat().st_mtime_ns == before, "the same text is not written again"
+    with pytest.raises(InputError, match="no item 'Table 9'"):
+        claims.add("Table 9", "a", 1, 1, True)

@@ -1,0 +1,124 @@
+"""The frames say what the records say: every tail, count and bar, the study of each run, what is missing."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from paper_artifact import results
+from paper_artifact.catalogue import study_config
+from paper_artifact.errors import InputError
+from paper_artifact.record.store import read_record
+from paper_artifact.study.studies import STUDIES
+from tests.report_records import write_study
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return results.load()
+
+
+@pytest.mark.parametrize(
+    ("shape", "condition"), [("sphere", "C1"), ("torus", "C6"), ("bob", "C0"), ("torus", "T1")]
+)
+def test_a_run_s_rows_are_its_record_s(tables, shape, condition):
+    row = tables.runs.query("shape == @shape and condition == @condition").iloc[0]
+    record = read_record(tables.folder / f"{row['run']}.json")
+    tails, dimension = record["tails"], record["mesh"]["dimension"]
+    assert row["tail"] == tails["bottleneck"][dimension] == np.mean(
+        [dump["bottleneck"][dimension] for dump in record["dumps"][-results.TAIL_DUMPS :]]
+    ).round(9) or row["tail"] == pytest.approx(tails["bottleneck"][dimension])
+    assert [row[f"count_h{d}"] for d in range(3)] == tails["counts"] and row["psnr"] == record["images"][
+        "psnr"
+    ]
+    dumps = tables.dumps[(tables.dumps["run"] == row["run"]) & (tables.dumps["step"] > 0)]
+    assert dumps["step"].tolist() == [dump["step"] for dump in record["dumps"]]
+    np.testing.assert_array_equal(
+        dumps["bars_h2"].iloc[-1], np.reshape(record["dumps"][-1]["bars"][2], (-1, 2))
+    )
+    logged = [entry for entry in record.get("topology") or () if entry["event"] == "refresh"]
+    own = tables.refreshes[tables.refreshes["run"] == row["run"]]
+    assert own["step"].nunique() == len(logged)
+    for entry in logged[:: max(len(logged) // 3, 1)]:
+        for d, plan in entry["dimensions"].items():
+            (found,) = own[(own["step"] == entry["step"]) & (own["dimension"] == int(d))].to_dict("records")
+            assert (found["matched"], found["recruited"]) == (plan["matched"], plan["recruited"])
+            off = [
+                abs(np.subtract(bar["live"], bar["target"])).max()
+                for bar in plan["targets"]
+                if bar.get("live")
+            ]
+            assert found["residual"] == pytest.approx(max(off)) if off else np.isnan(found["residual"])
+
+
+def test_every_committed_run_is_there_once_and_the_studies_name_theirs(tables):
+    names = sorted(path.stem for path in tables.folder.glob("*.json"))
+    assert tables.runs["run"].tolist() == names
+    assert set(tables.studies["study"]) == set(STUDIES) and tables.studies["run"].notna().all()
+    assert len(tables.of("table1")) == 115 and len(tables.of("table1", "table1")) == 115
+    knobs = tables.of("knobs")
+    assert set(knobs["setting"]) == {"rho=0.03", "rho=0.3", "ramp=(0.1, 0.4)", "ramp=(0.3, 0.6)"}
+    assert set(knobs[knobs["setting"] == "rho=0.03"]["loss_rho"]) == {0.03}
+    with pytest.raises(InputError, match="unknown study 'table9'"):
+        tables.of("table9")
+
+
+def test_expected_counts_are_the_bundle_s_for_every_arm_of_a_shape(tables):
+    runs = tables.of("table1", "table2", "bowls")
+    assert runs.groupby("shape", observed=True)["expected"].nunique().eq(1).all()
+    expected = runs.groupby("shape", observed=True)["expected"].first()
+    assert expected[["sphere", "torus", "double_torus", "eight", "bowl_wide", "two_spheres"]].tolist() == [
+        1,
+        2,
+        2,
+        4,
+        1,
+        1,
+    ]
+
+
+def test_step_0_is_there_where_a_run_starts_as_the_study_does(tables):
+    starts = results.measured("starts").set_index(["shape", "seed"])["bottleneck"]
+    first = tables.dumps[tables.dumps["step"] == 0]
+    same = first[(first["shape"] == "sphere") & (first["seed"] == 3)]
+    assert set(same["bottleneck"]) == {starts["sphere", 3]} and {"C0", "B2", "B5"} <= set(same["condition"])
+    assert "B1" not in set(first["condition"]), "its levers act on the first triangles"
+
+
+def test_what_is_missing_is_said_once_and_a_folder_s_frames_are_kept(tmp_path, capsys):
+    folder = tmp_path / "runs"
+    wanted = {(shape, "C0", seed): 0.01 for shape in ("sphere", "torus") for seed in range(3)}
+    write_study(folder, wanted)
+    first = results.load(studies=["baseline"], folder=folder)
+    said = capsys.readouterr().out
+    assert said.startswith("baseline: 3 of 9 runs are not recorded: spot C0 seeds [0, 1, 2]; python -m")
+    assert len(list((tmp_path / ".frames").iterdir())) == 1
+    (kept,) = (tmp_path / ".frames").iterdir()
+    again = results.load(studies=["baseline"], folder=folder)
+    pd.testing.assert_frame_equal(first.runs, again.runs)
+    kept.write_bytes(b"cut off")
+    assert len(results.load(studies=["baseline"], folder=folder).runs) == 6
+    write_study(folder, {("spot", "C0", 0): 0.01})
+    assert len(results.load(studies=["baseline"], folder=folder).runs) == 7, "a new record is seen"
+    shutil.rmtree(folder)
+    folder.mkdir()
+    assert results.load(studies=["baseline"], folder=folder).runs.empty
+    with pytest.raises(InputError, match="profile 'fast'"):
+        results.load("fast")
+
+
+def test_full_trains_the_named_studies(tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(results, "RETRAINED", tmp_path)
+    monkeypatch.setattr("paper_artifact.pipeline.run", lambda config, mesh, results: trained.append(config))
+    (tmp_path / "runs").mkdir()
+    results.load("full", ["curvature"])
+    assert trained == [study_config(shape, "C4", seed) for seed in range(3) for shape in ("sphere", "torus")]
+
+
+def test_a_missing_measurement_names_its_script():
+    with pytest.raises(InputError, match=r"data_scripts/measure/none\.py makes it"):
+        results.measured("none")
