@@ -2,7 +2,7 @@
 
 C1 passes on a shape if its tails lie below C0's and below every norm-matched control's (smaller mean, ranges
 over the seeds that do not touch) at Chamfer parity: mean Chamfer(C1) <= PARITY mean Chamfer(C0). Counts of
-bars are reported and decide nothing. Standard deviations are those of a sample (n - 1). """
+bars are reported and decide nothing. Standard deviations are those of a sample (n - 1)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
     effect", the loss overlaps the baseline; "worse"; "parity failed"; "tied by control", overlaps a control;
     "beaten by control"; "incomplete", an arm is missing), reason (one sentence), ratio (C0 / loss),
     chamfer_ratio (loss / C0), welch (C0 - loss). A control without runs is passed over; without any control a
-    shape is incomplete. Raises InputError when an arm has a seed twice. """
+    shape is incomplete. Raises InputError when an arm has a seed twice."""
     if runs.duplicated(["shape", "condition", "seed"]).any():
         twice = runs[runs.duplicated(["shape", "condition", "seed"])].iloc[0]
         raise InputError(
@@ -63,7 +63,9 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
     for shape, own in runs.groupby("shape", observed=True):
         tails = {name: group["tail"].to_numpy() for name, group in own.groupby("condition", observed=True)}
         groups = own.groupby("condition", observed=True)
-        chamfer = {name: group["chamfer"].to_numpy().mean() for name, group in groups} if "chamfer" in own else {}
+        chamfer = (
+            {name: group["chamfer"].to_numpy().mean() for name, group in groups} if "chamfer" in own else {}
+        )
         parity = chamfer.get(loss, math.nan) / chamfer.get(BASELINE, math.nan)
         present = [name for name in controls if name in tails]
         absent = [name for name in (BASELINE, loss) if name not in tails] + ([] if present else [controls[0]])
