@@ -141,6 +141,8 @@ def _build(
     }
     front |= {"words": Counter(item.word for item in found), "holds": Counter(claims["holds"])}
     front |= {"differing": Counter(no["item"]).most_common(), "version": __version__}
+    drawn_files = [file for _, files in figures for file in files]
+    front["gallery"] = next((file for file in drawn_files if file.startswith("09_gallery_voids")), None)
     pages.write_style()
     pages.write("index.html", "index.html", "Topology-aware triangle soups, reproduced", **front)
     pages.write("items.html", "items.html", f"The paper's {len(found)} items", items=found)
