@@ -234,6 +234,14 @@ def test_the_verb(tmp_path: Path, capsys):
     assert cli.main([*words, "--betti", "1,4,1", "--offsets", "0.03"]) == 1
     assert "no offset gives 1 component, 4 loops, 1 void" in capsys.readouterr().out and not out.exists()
     assert json.loads(stored.read_text())["solid"] is None
+    bowl = trimesh.Trimesh(*shapes.bowl(), process=False)
+    bowl.export(tmp_path / "bowl.obj")
+    words = ["solidify", str(tmp_path / "bowl.obj"), "--out", str(out), "--quiet", "--offsets", "0.03"]
+    assert cli.main([*words, "--betti", "1,0,1"]) == 1
+    printed = capsys.readouterr().out
+    assert "gives 1 component, 0 loops, 1 void, but what it encloses is 0.00 of its volume" in printed
+    assert "--betti 1,0,0" in printed and not out.exists()
+    assert cli.main([*words, "--betti", "1,0,0"]) == 0 and certify_mesh(load_mesh(out)).passed
 
 
 def test_the_verb_refuses_before_it_works(tmp_path: Path, capsys):

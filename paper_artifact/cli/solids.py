@@ -1,4 +1,4 @@
-"""One closed, certified surface: `ingest` makes it of raw polygons, `solidify` of a trained soup."""
+"""One closed, certified surface: `ingest` makes it of raw polygons, `solidify` of a soup or a mesh."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from paper_artifact.export.solid import (
     check_format,
     distances_to,
     placed,
+    solidify_mesh,
     solidify_soup,
     write_solid,
 )
@@ -25,7 +26,7 @@ from paper_artifact.files import write_text
 from paper_artifact.frame import Frame
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest import solidify as shells
-from paper_artifact.ingest.solidify import CELLS, OFFSETS, check_ladder, wanted_of, write_shell
+from paper_artifact.ingest.solidify import CELLS, INSIDE, OFFSETS, Rung, check_ladder, wanted_of, write_shell
 from paper_artifact.ingest.solidify import check_format as check_shell_format
 from paper_artifact.mesh import betti_text
 from paper_artifact.scene.shapes import find_mesh
@@ -95,7 +96,7 @@ OF_PHOTOGRAPHS = "of a soup of photographs, only what they are of"
 class Solidify(Options):
     """Options of `solidify`.
 
-    soup SOUP: a trained soup, results/soups/<run>.npz
+    soup SOUP|MESH: a trained soup, results/soups/<run>.npz, or a mesh: a double sheet, a scan with holes …
     out MESH: the solid: .ply or .glb, colours per vertex
     betti B0,B1,B2: wanted components, loops, voids: 1,2,1 for a torus, 1,0,0 for an open bowl (its solid is
         a thick shell); default: the target's, without one the numbers that last over most offsets
@@ -135,17 +136,12 @@ def solidify(options: Solidify) -> tuple[int, dict]:
             wanted_of(betti)
         if options.scene is None and (options.radius is not None or options.ground is not None):
             raise WrongUsage("--radius and --ground belong to --scene DIR, whose cameras give their unit")
-    file = Path(options.soup)
-    soup, frame = load_soup(file), load_frame(file)
-    if options.scene is not None:
-        soup = _of_the_subject(soup, frame, options)
+        if options.scene is not None and Path(options.soup).suffix != ".npz":
+            raise WrongUsage("--scene belongs to a trained soup (.npz); a mesh is taken whole")
     target = None if options.target is None else find_mesh(options.target)
     if target is not None and betti is None:
         betti = certify_mesh(target, with_boundary=True).betti
-    with bar(total=len(offsets), unit="ε", desc="offsets", disable=options.quiet) as line:
-        solid = solidify_soup(
-            soup, betti, offsets, options.cells, file.stem, lambda rung: line.update() and None, frame=frame
-        )
+    solid = _solid_of(options, betti, offsets)
     report = solid.to_json()
     print(offset_table(solid))
     if solid.mesh is None:
@@ -158,7 +154,7 @@ def solidify(options: Solidify) -> tuple[int, dict]:
         + meeting.get(solid.crossings, f"{solid.crossings} triangles may meet")
     )
     if target is not None:
-        report["distance"] = distances_to(placed(solid.mesh, frame), target)
+        report["distance"] = distances_to(placed(solid.mesh, solid.frame), target)
         print(
             f"to {target.name}: Chamfer {100 * report['distance']['chamfer']:.3f} %, "
             f"Hausdorff95 {100 * report['distance']['hausdorff95']:.3f} % of its diagonal"
@@ -166,6 +162,25 @@ def solidify(options: Solidify) -> tuple[int, dict]:
     print(options.out)
     print(next_command("certify", options.out, "--closed"))
     return 0, report
+
+
+def _solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...]) -> SoupSolid:
+    """Return what the ladder of offsets gives of the soup or the mesh."""
+    file = Path(options.soup)
+    if file.suffix == ".npz":
+        soup, frame = load_soup(file), load_frame(file)
+        if options.scene is not None:
+            soup = _of_the_subject(soup, frame, options)
+    else:
+        raw = find_mesh(options.soup, welded=False)
+    with bar(total=len(offsets), unit="ε", desc="offsets", disable=options.quiet) as line:
+
+        def count(rung: Rung) -> None:
+            line.update()
+
+        if file.suffix != ".npz":
+            return solidify_mesh(raw, betti, offsets, options.cells, count)
+        return solidify_soup(soup, betti, offsets, options.cells, file.stem, count, frame=frame)
 
 
 def _of_the_subject(soup: Soup, frame: Frame, options: Solidify) -> Soup:
@@ -205,6 +220,16 @@ def offset_table(solid: SoupSolid) -> str:
     if solid.rung is None:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
         said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train further"
+        if solid.hollow:
+            most = max(solid.hollow, key=lambda rung: rung.inside)
+            b0, b1, _ = solid.wanted.betti
+            said = (
+                f"ε = {most.offset:g} D gives {betti_text(solid.wanted.betti)}, but what it encloses is "
+                f"{most.inside:.2f} of its volume, and a body must enclose {INSIDE:g}: the walls are thin, "
+                "or have a gap wider than 2ε. No mesh is written; "
+                + ("try smaller offsets, which enclose more" if most.inside > 0 else f"try --offsets {tried}")
+                + f", or take the same surface as a thick shell: --betti {b0},{b1 // 2},0"
+            )
     elif solid.stated:
         said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}"
     elif sum(rung.betti == solid.wanted.betti for rung in solid.rungs) == 1:
