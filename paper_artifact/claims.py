@@ -5,7 +5,7 @@
     claims.table()                 # last cell: shows them and writes results/claims/06_c_matrix.csv
 
 An item is a table or figure of the paper (`results/published/items.csv`). The book counts the claims of each
-item. """
+item."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Claims:
         missing.
 
         what: the statement in a few words; ours, paper: both as texts or numbers. Raises InputError for an
-        item that the paper does not have. """
+        item that the paper does not have."""
         if item not in self.items:
             raise InputError(f"the paper has no item {item!r}; results/published/items.csv lists them")
         word = MISSING if holds is None else "yes" if holds else "no"
@@ -89,7 +89,7 @@ def order_claims(
     ours: `verdict.arms` (index shape, condition; columns mean, sd). paper: rows of `results.published`
     (columns shape, condition, seed, value, sd); its B0 is our C0; rows of a single seed are left out; of
     several rows the first counts. Where the paper prints no standard deviation, `variation` of its mean
-    stands in, or ours where that is None. """
+    stands in, or ours where that is None."""
     pairs = list(pairs)
     printed = (
         paper[paper["seed"].isna()]
@@ -97,7 +97,7 @@ def order_claims(
         .drop_duplicates(["shape", "condition"])
     )
     printed = printed.set_index(["shape", "condition"]).rename(columns={"value": "mean"})
-    rows = []
+    rows: list[tuple[str, str, str, bool | None]] = []
     for shape in ours.index.unique("shape"):
         for arm, other in pairs:
             keys = [(shape, arm), (shape, other)]

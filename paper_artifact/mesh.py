@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,14 @@ from paper_artifact.sampling import face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
-READERS = {"obj": read_obj, "ply": read_ply, "off": read_off, "stl": read_stl, "glb": None, "gltf": None}
+READERS: dict[str, Any] = {
+    "obj": read_obj,
+    "ply": read_ply,
+    "off": read_off,
+    "stl": read_stl,
+    "glb": None,
+    "gltf": None,
+}
 
 # What Betti numbers and bars of dimension 0, 1 and 2 count.
 FEATURES = (("component", "components"), ("loop", "loops"), ("void", "voids"))

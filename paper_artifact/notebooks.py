@@ -126,7 +126,7 @@ def execute(
             f"cannot make the folder {executed}: {error.strerror}; choose one that you can write to"
         ) from error
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
-    start, error = time.monotonic(), ""
+    start, failure = time.monotonic(), ""
     try:
         with figures_of(path, figures):
             notebook = papermill.execute_notebook(
@@ -141,12 +141,12 @@ def execute(
         if refresh:
             write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
     except PapermillExecutionError as caught:
-        error = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
+        failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
     except InputError:
         raise
     except Exception as caught:  # a dead kernel, a file that is no notebook: the others still run
-        error = f"{type(caught).__name__}: {caught}"
-    return Execution(path.stem, time.monotonic() - start, " ".join(error.split()))
+        failure = f"{type(caught).__name__}: {caught}"
+    return Execution(path.stem, time.monotonic() - start, " ".join(failure.split()))
 
 
 def cleaned(notebook: NotebookNode) -> NotebookNode:

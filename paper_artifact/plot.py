@@ -9,7 +9,7 @@ and a few marks.
     plot.show("trajectories", figure)                                 # `run-all` also writes an SVG
 
 Figures are made in the size in which they are printed: none is wider than PAGE inches, no letter is smaller
-than TEXT points. """
+than TEXT points."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from paper_artifact.files import FIGURES_VARIABLE, write_bytes
 COLUMN, PAGE = 3.3, 6.8  # inches: the width of one and of two columns of a paper
 TEXT = 8.0  # points: the least size of letters
 DPI = 140
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": TEXT,
     "axes.titlesize": TEXT,
     "axes.labelsize": TEXT,
@@ -168,8 +168,13 @@ def legend_below(figure: Figure, columns: int = 4, extra: Iterable[Artist] = (),
     for handle in extra:
         found.setdefault(str(handle.get_label()), handle)
     if found:
-        place = {"loc": "outside lower center", "ncols": min(columns, len(found))}
-        figure.legend(list(found.values()), list(found), title=title or None, **place)
+        figure.legend(
+            list(found.values()),
+            list(found),
+            title=title or None,
+            loc="outside lower center",
+            ncols=min(columns, len(found)),
+        )
 
 
 def mark_value(axis: Axes, value: float, upright: bool = False) -> Line2D:
@@ -271,10 +276,19 @@ def draw_diagram(
     axis.plot([0, limit], [0, limit], color=INK, linewidth=0.7)
     axis.plot([0, limit], [floor, limit + floor], color=INK, linewidth=0.8, linestyle=":")
     above = bars[:, 1] - bars[:, 0] > floor
-    axis.scatter(*bars[~above].T, s=4, color=FAINT, linewidths=0, rasterized=True)
-    axis.scatter(*bars[above].T, s=20, color=INK, linewidths=0, zorder=3)
+    axis.scatter(bars[~above, 0], bars[~above, 1], s=4, color=FAINT, linewidths=0, rasterized=True)
+    axis.scatter(bars[above, 0], bars[above, 1], s=20, color=INK, linewidths=0, zorder=3)
     if target is not None and len(target):
-        axis.scatter(*target.T, marker="*", s=110, facecolor="none", edgecolor=AIM, linewidths=1.1, zorder=4)
+        axis.scatter(
+            target[:, 0],
+            target[:, 1],
+            marker="*",
+            s=110,
+            facecolor="none",
+            edgecolor=AIM,
+            linewidths=1.1,
+            zorder=4,
+        )
     axis.set(xlim=(-margin, limit), ylim=(-margin, limit), aspect="equal", xlabel=BIRTH, ylabel=DEATH)
     for side in (axis.xaxis, axis.yaxis):
         side.set_major_locator(MaxNLocator(3))

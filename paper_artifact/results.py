@@ -11,7 +11,7 @@ from these.
 Lengths are divided by the diagonal of the ground truth's bounding box; births and deaths are radii. A
 dimension is that of homology: 0 components, 1 loops, 2 voids; the judged one decides a shape's verdict
 (`catalogue.SHAPES`). A column whose name ends with _h0, _h1 or _h2 exists for each dimension. Shapes and
-conditions are ordered categories, in the catalogue's order. """
+conditions are ordered categories, in the catalogue's order."""
 
 from __future__ import annotations
 
@@ -39,6 +39,8 @@ PUBLISHED = REPOSITORY / "results" / "published"  # committed, also where runs a
 MEASURED = REPOSITORY / "results" / "measured"  # one CSV per script of data_scripts/measure
 RETRAINED = RESULTS / "retrained"  # the profile "full" writes here
 TAIL_DUMPS = 3  # the dumps whose mean is a tail: at 2,500 steps those of steps 2300, 2400, 2500
+
+Frames = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame]
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Results:
     longest first; stated Betti numbers only).
 
     studies, one row per run of a study: study, setting ("rho=0.03": what the block changes; "" for nothing),
-    shape, condition, seed, run (NaN where no record exists). """
+    shape, condition, seed, run (NaN where no record exists)."""
 
     runs: pd.DataFrame
     dumps: pd.DataFrame
@@ -103,7 +105,7 @@ def load(profile: str = "recorded", studies: Iterable[str] = (), folder: Path = 
     that lacks runs. "full": trains every run of the named studies into RETRAINED (hours; recorded ones there
     are kept) and returns the frames of that folder. The first call reads JSON (half a minute for 926 records)
     and stores the frames beside the records; later calls take a second. Raises InputError for a damaged
-    record, an unknown profile or study. """
+    record, an unknown profile or study."""
     names = tuple(studies) or tuple(STUDIES)
     if profile not in ("recorded", "full"):
         raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
@@ -149,14 +151,15 @@ def _cached(folder: Path) -> Results:
     if kept.is_file() and kept.stat().st_uid == os.getuid():
         with suppress(Exception), open(kept, "rb") as file:  # cut off or of another pandas: made again
             if file.read(len(key)) == key:
-                return Results(*pickle.load(file), Path(folder))
+                kept_frames: Frames = pickle.load(file)
+                return Results(*kept_frames, Path(folder))
     frames = _read(paths)
     with suppress(InputError, OSError), atomic_path(kept) as partial:  # where it cannot be written, it is not
         partial.write_bytes(key + pickle.dumps(frames, protocol=5))
     return Results(*frames, Path(folder))
 
 
-def _read(paths: list[Path]) -> tuple[pd.DataFrame, ...]:
+def _read(paths: list[Path]) -> Frames:
     runs, dumps, refreshes = [], [], []
     starts = _starts()
     for path in paths:
@@ -177,7 +180,8 @@ def _read(paths: list[Path]) -> tuple[pd.DataFrame, ...]:
     if len(frame):
         frame["expected"] = _expected(frame)
     studies = pd.DataFrame(_study_rows({row["run"] for row in runs}, paths[0].parent if paths else RESULTS))
-    return tuple(_ordered(each) for each in (frame, pd.DataFrame(dumps), pd.DataFrame(refreshes), studies))
+    others = pd.DataFrame(dumps), pd.DataFrame(refreshes)
+    return _ordered(frame), _ordered(others[0]), _ordered(others[1]), _ordered(studies)
 
 
 def _run_row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -201,7 +205,7 @@ def _run_row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
         "triangles": record["soup"]["triangles"]
     }
     events = [entry for entry in record.get("topology") or () if entry["event"] != "refresh"]
-    calibrated = next((entry for entry in events if entry["event"] == "lambda"), {})
+    calibrated: dict = next((entry for entry in events if entry["event"] == "lambda"), {})
     row |= {key: calibrated.get(key) for key in ("lambda_peak", "photo_norm", "topo_norm")}
     bars = (record.get("bundle") or {}).get("bars")
     row |= {f"bundle_h{d}": None if bars is None else _bars(bars[d]) for d in range(3)}
@@ -365,7 +369,7 @@ def published(*tables: str, quantity: str = "") -> pd.DataFrame:
     otherwise), value, printed (the same as the paper prints it, a text), sd, ratio (C0 / this, as printed),
     seeds (how many), knob, setting, note, source. NaN and "" where the paper gives nothing. Tables S6 and S12
     hold texts: one row per cell, quantity is its column, shape its row, value NaN. quantity: only these rows.
-    Raises InputError for an unknown table. """
+    Raises InputError for an unknown table."""
     frame = _published()
     known = frame["table"].unique()
     for table in tables:

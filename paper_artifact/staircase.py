@@ -15,12 +15,12 @@ import pandas as pd
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.staircase import KEPT, MULTIPLIER, longest, measure
+from paper_artifact.evaluate.staircase import KEPT, longest, measure
 from paper_artifact.mesh import Mesh
 from paper_artifact.results import published
 from paper_artifact.sampling import face_areas
 from paper_artifact.scene.shapes import surface
-from paper_artifact.topology.floor import uniform_spacing
+from paper_artifact.topology.floor import MULTIPLIER, uniform_spacing
 
 KEYS = ["shape", "samples", "seed"]
 DENSITIES = (2048, 4096, 8192, 20_000)  # of Tables S5, S9 and S11; the last is the evaluation's

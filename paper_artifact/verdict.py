@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -59,7 +60,7 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
         raise InputError(
             f"{twice['shape']} {twice['condition']} has seed {twice['seed']} twice; keep one run of each"
         )
-    rows = {}
+    rows: dict[Any, dict[str, Any]] = {}
     for shape, own in runs.groupby("shape", observed=True):
         tails = {name: group["tail"].to_numpy() for name, group in own.groupby("condition", observed=True)}
         groups = own.groupby("condition", observed=True)

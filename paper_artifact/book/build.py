@@ -99,7 +99,7 @@ def build(
     notebooks, executed: the executed copies are taken where they have today's code. runs: the folder of the
     records. progress: called with the name of each part before it is made. SVG pictures that `run-all` left
     in the folder figures are taken. Raises InputError when something committed cannot be read, when the
-    folder holds files and was no book before, or when it cannot be written. """
+    folder holds files and was no book before, or when it cannot be written."""
     with renewed_folder(folder, "book") as new:
         return _build(new, folder / "figures", notebooks, executed, runs, progress)
 

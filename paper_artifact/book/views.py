@@ -55,7 +55,8 @@ def write_views(tables: results.Results, runs: pd.DataFrame, folder: Path) -> li
         missing = sorted(set(own["condition"]) - set(kept["condition"]))
         note += f" No soup of {', '.join(missing)} is kept." if missing else ""
         points = np.concatenate([each.visible().vertices.reshape(-1, 3) for each in parts.values()])
-        view = shape_viewpoint(shape_row(shape), points)
+        row = shape_row(shape)
+        view = None if row is None else shape_viewpoint(row, points)
         write_html(folder / f"{shape}.html", parts, shape, view, ("../soups.html", "← the book"))
         made.append(View(str(shape), f"{shape}.html", tuple(lines), note.strip()))
     return made

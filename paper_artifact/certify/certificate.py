@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.certify.homology import (
+    SurfaceChecks,
     betti_numbers,
     check_surface,
     dual_voids,
@@ -102,8 +103,8 @@ class Certificate:
     @property
     def genus(self) -> int | None:
         """The sum of the components' genera; None unless all are orientable manifolds."""
-        genera = [each.genus if each.orientable else None for each in self.components]
-        return None if None in genera else sum(genera)
+        genera = [each.genus for each in self.components if each.orientable and each.genus is not None]
+        return sum(genera) if len(genera) == len(self.components) else None
 
     def to_json(self) -> dict:
         """Return a JSON-able dict of all fields and `genus`."""
@@ -145,7 +146,7 @@ def certify(
     tell("exact homology")
     betti, counts = betti_numbers(simplices), simplices.counts()
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
-    total = tuple(int(b) for b in betti.sum(axis=0))
+    total = _triple(betti.sum(axis=0))
     tell("voids by duality")
     dual = dual_voids(simplices)
     numbers = {name: int(getattr(checks, name).sum()) for name in FAULTS}
@@ -180,7 +181,7 @@ def certify(
     )
 
 
-def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
+def _component(counts: list[int], checks: SurfaceChecks, i: int, betti: np.ndarray) -> Component:
     vertices, edges, faces = counts
     euler = vertices - edges + faces
     numbers = {name: int(getattr(checks, name)[i]) for name in FAULTS}
@@ -197,7 +198,7 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
         edges=edges,
         faces=faces,
         euler=euler,
-        betti=tuple(int(b) for b in betti),
+        betti=_triple(betti),
         expected=expected,
         **numbers,
         orientable=orientable,
@@ -206,7 +207,19 @@ def _component(counts, checks, i: int, betti: np.ndarray) -> Component:
     )
 
 
-def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[str]:
+def _triple(numbers: np.ndarray) -> tuple[int, int, int]:
+    first, second, third = map(int, numbers)
+    return first, second, third
+
+
+def _reasons(
+    numbers: dict[str, int],
+    checks: SurfaceChecks,
+    components: list[Component],
+    betti: tuple[int, int, int],
+    dual: int | None,
+    with_boundary: bool,
+) -> list[str]:
     reasons = []
     if numbers["open_edges"] and not with_boundary:
         reasons.append(
@@ -245,7 +258,7 @@ def _reasons(numbers, checks, components, betti, dual, with_boundary) -> list[st
     return reasons
 
 
-def _notes(checks, components, collapsed: int) -> list[str]:
+def _notes(checks: SurfaceChecks, components: list[Component], collapsed: int) -> list[str]:
     notes = []
     if collapsed:
         notes.append(f"{_count(collapsed, 'face')} dropped by the weld: two corners are one point")
@@ -294,7 +307,7 @@ def _sort_of(each: Component) -> str:
     if not each.manifold:
         return "no manifold" if each.nonmanifold_edges or each.pinched_vertices else "triangle given twice"
     handles = (
-        f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus, 'crosscap')}"
+        f"genus {each.genus}" if each.orientable else f"not orientable, {_count(each.genus or 0, 'crosscap')}"
     )
     if each.boundary_loops == 0:
         return f"closed surface, {handles}"

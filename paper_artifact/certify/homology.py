@@ -174,7 +174,7 @@ def _eliminate(face_edges: np.ndarray, tree: np.ndarray) -> tuple[np.ndarray, np
 
 
 @njit(cache=True)
-def _collapse(face_edges: np.ndarray, tree: np.ndarray):
+def _collapse(face_edges: np.ndarray, tree: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the pivots in order, faces (p,) and time (E,) of each edge or -1; the faces set aside and their
     time.
     """
@@ -349,7 +349,9 @@ def _chains(open_edges: np.ndarray, component_of_vertex: np.ndarray, count: int)
     return np.bincount(component_of_vertex[used[first]], minlength=count)
 
 
-def _pinched(faces, order, degree, component_of_vertex, count) -> np.ndarray:
+def _pinched(
+    faces: np.ndarray, order: np.ndarray, degree: np.ndarray, component_of_vertex: np.ndarray, count: int
+) -> np.ndarray:
     """Return per component the number of vertices whose faces, joined across edges, form several fans."""
     # Consecutive sides of one edge in `order`; the corners of their faces at either end belong to one fan.
     same = np.ones(len(order), dtype=bool)
@@ -373,7 +375,9 @@ def _corners(faces: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return np.where(swap, end, begin), np.where(swap, begin, end)
 
 
-def _orientable(face_count, first, second, alike, of_face, count) -> np.ndarray:
+def _orientable(
+    face_count: int, first: np.ndarray, second: np.ndarray, alike: np.ndarray, of_face: np.ndarray, count: int
+) -> np.ndarray:
     """Return which components are orientable: no face meets its own reverse in the double cover."""
     shift = np.where(alike, face_count, 0)
     left = np.concatenate([first, first + face_count])
@@ -384,7 +388,7 @@ def _orientable(face_count, first, second, alike, of_face, count) -> np.ndarray:
     return result
 
 
-def _volumes(vertices, faces, of_face, count) -> np.ndarray:
+def _volumes(vertices: np.ndarray, faces: np.ndarray, of_face: np.ndarray, count: int) -> np.ndarray:
     centred = vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2
     a, b, c = (centred[faces[:, i]] for i in range(3))
     return np.bincount(of_face, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, minlength=count)

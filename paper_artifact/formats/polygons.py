@@ -8,7 +8,7 @@ with what it holds) and InputError for a part of the format that is not read.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -152,7 +152,8 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     if header is None:
         raise ValueError("it has no PLY header")
     lines = [line.split() for line in decoded(header[0]).split("\n")]
-    form, elements = "", []
+    form = ""
+    elements: list[tuple[str, int, list[tuple[str, str, str]]]] = []
     for words in lines:
         match words:
             case ["format", form, *_]:
@@ -172,7 +173,7 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     else:
         raise ValueError(f"its format is {form!r}")
     found = {name: _rows(stream, count, columns) for name, count, columns in elements}
-    if form == "ascii" and stream.place != len(stream.words):
+    if isinstance(stream, _Words) and stream.place != len(stream.words):
         raise ValueError(f"it holds {len(stream.words) - stream.place} numbers more than it declares")
     return found
 
@@ -246,7 +247,9 @@ def _rows(stream: _Words | _Bytes, count: int, columns: list[tuple[str, str, str
     }
 
 
-def _equal_rows(stream, count, columns, kinds, length) -> dict | None:
+def _equal_rows(
+    stream: _Words | _Bytes, count: int, columns: Sequence[tuple], kinds: list[str], length: dict
+) -> dict | None:
     """Return `_rows` of rows that all have the first one's lengths, None where they have not."""
     try:
         taken = iter(stream.take(count, kinds))

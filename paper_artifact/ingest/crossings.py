@@ -82,7 +82,9 @@ def _folded(points: np.ndarray, faces: np.ndarray, face_edges: np.ndarray, count
 
 
 @njit(cache=True)
-def _meetings(points, faces, edges, boxes: Boxes):
+def _meetings(
+    points: np.ndarray, faces: np.ndarray, edges: np.ndarray, boxes: Boxes
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (E,) bool edges that meet a face, and (F,) bool faces that an edge meets."""
     meets, met = np.zeros(len(edges), np.bool_), np.zeros(len(faces), np.bool_)
     for edge in range(len(edges)):

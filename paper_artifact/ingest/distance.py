@@ -208,7 +208,7 @@ def nearest_on(soup: np.ndarray, points: np.ndarray, within: float) -> Nearest:
 
 
 @njit(cache=True)
-def _nearest(points, soup, within, boxes: Boxes):
+def _nearest(points: np.ndarray, soup: np.ndarray, within: float, boxes: Boxes) -> np.ndarray:
     result = np.full(len(points), -1)
     for n in range(len(points)):
         point, best = points[n], within * within

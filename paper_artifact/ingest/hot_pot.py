@@ -30,6 +30,9 @@ FLUE_RADIUS, MOUTH_RADIUS, FLUE_HEIGHT, SHOULDER_HEIGHT, NECK_HEIGHT = 0.0955, 0
 HANDLE_GAP, HANDLE_TUBE, HANDLE_ANGLE, HANDLE_HEIGHT = 0.036, 0.012, 0.30, 0.10
 
 
+Shell = tuple[np.ndarray, list[tuple[int, ...]]]  # points and polygons
+
+
 @dataclass(frozen=True, eq=False)
 class RawPot:
     """The pot as modelled: nine open shells of polygons."""
@@ -79,7 +82,9 @@ def raw_pot() -> RawPot:
         _handle(np.pi),
         _revolve([(RIM_RADIUS, RIM_HEIGHT), (0.425, 0.21), (0.415, 0.175), (0.355, 0.165)], AROUND),
     ]
-    vertices, polygons, owner = [], [], []
+    vertices: list[np.ndarray] = []
+    polygons: list[tuple[int, ...]] = []
+    owner: list[int] = []
     for number, (points, faces) in enumerate(shells):
         start = sum(len(each) for each in vertices)
         vertices.append(points)
@@ -98,7 +103,9 @@ def _ring(radius: float, height: float, count: int) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], axis=1)
 
 
-def _revolve(profile: list[tuple[float, float]], count: int, leave_out: Collection[tuple[int, int]] = ()):
+def _revolve(
+    profile: list[tuple[float, float]], count: int, leave_out: Collection[tuple[int, int]] = ()
+) -> Shell:
     """Return points and quads of a (radius, height) profile turned around z; leave_out: (band, segment)
     without one.
     """
@@ -116,7 +123,7 @@ def _quads(bands: int, count: int, leave_out: Collection[tuple[int, int]] = ()) 
     ]
 
 
-def _handle(direction: float):
+def _handle(direction: float) -> Shell:
     """Return points and faces of a bar that stands off the wall: a 12-sided tube, capped at one end."""
     wall = FLOOR_RADIUS + (RIM_RADIUS - FLOOR_RADIUS) * HANDLE_HEIGHT / RIM_HEIGHT
     angles = direction + HANDLE_ANGLE * np.array([-1, -1, -0.5, 0, 0.5, 1, 1])

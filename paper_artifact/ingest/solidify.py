@@ -159,7 +159,7 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
         faces=triangles,
         name=f"{mesh.name} shell",
         cell=float(cell),
-        grid=tuple(int(n) for n in values.shape),
+        grid=values.shape,
         pockets=pockets,
         inside=_least_inside(values < np.float32(epsilon), near),
     )
@@ -275,9 +275,7 @@ def climb(
     for offset in reversed(check_ladder(offsets, cells)):
         surface = outer_surface(soup, offset * soup.diagonal, offset * soup.diagonal / cells)
         betti, count = surface.betti, len(surface.faces)
-        rungs.append(
-            Rung(offset, betti, betti[1] // 2, surface.inside, surface.pockets, count, surface.grid)
-        )
+        rungs.append(Rung(offset, betti, betti[1] // 2, surface.inside, surface.pockets, count, surface.grid))
         if progress is not None:
             progress(rungs[-1])
         if enough is not None and enough(rungs):

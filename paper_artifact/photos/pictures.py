@@ -121,12 +121,12 @@ def prepared(
         picture.thumbnail((size, size), Image.Resampling.LANCZOS)
         if turned:
             picture, x, y = picture.transpose(Image.Transpose.ROTATE_90), y, -x  # counter-clockwise
-        if picture.mode == "RGBA" and picture.getextrema()[3][0] < 255:
+        if picture.mode == "RGBA" and picture.getchannel("A").getextrema() != (255, 255):
             picture.getchannel("A").save(masks / f"{target.name}.png")
             ready.masked.add(target.name)
         picture = picture.convert("RGB")
         picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
-        if all(high - low < BLANK for low, high in picture.getextrema()):
+        if np.ptp(np.asarray(picture), axis=(0, 1)).max() < BLANK:
             ready.blank.append(target.name)
         focal = str(exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLength))
         cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)

@@ -129,8 +129,8 @@ def register(
     )
     best = max(found, key=lambda index: found[index].num_reg_images(), default=None)
     if best is None or found[best].num_reg_images() < LEAST:
-        count = 0 if best is None else found[best].num_reg_images()
-        raise InputError(f"{count} of {len(names)} photographs register with one another; {HINTS}")
+        registered = 0 if best is None else found[best].num_reg_images()
+        raise InputError(f"{registered} of {len(names)} photographs register with one another; {HINTS}")
     model = found[best]
     out = work / "undistorted"
     undistort(pictures, work / "models" / str(best), out, size, model.num_reg_images(), progress)

@@ -145,12 +145,15 @@ def upright(model: Model, up_of: Mapping[str, tuple[float, float]] | None = None
         return model
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
     images = {
-        index: replace(
-            pose, quaternion=tuple(map(float, (rotations[index] * turn.inv()).as_quat(scalar_first=True)))
-        )
+        index: replace(pose, quaternion=_quaternion(rotations[index] * turn.inv()))
         for index, pose in model.images.items()
     }
     return replace(model, images=images, positions=turn.apply(model.positions))
+
+
+def _quaternion(rotation: Rotation) -> tuple[float, float, float, float]:
+    w, x, y, z = map(float, rotation.as_quat(scalar_first=True))
+    return w, x, y, z
 
 
 def _rotation(quaternion: tuple[float, ...]) -> Rotation:
@@ -227,7 +230,8 @@ def empty_colour(model: Model, images: Path) -> list[float]:
     Far: a tenth of the picture's width. It stands behind the soup, where no triangle starts. Where the cloud
     is everywhere it is the median of the whole pictures.
     """
-    far, all_of_them = [], []
+    far: list[np.ndarray] = []
+    all_of_them: list[np.ndarray] = []
     for index, pose in model.images.items():
         camera = model.camera(index)
         with Image.open(images / pose.name) as picture:
@@ -237,8 +241,8 @@ def empty_colour(model: Model, images: Path) -> list[float]:
         clip = clip[clip[:, 2] > 0]
         seen = (clip[:, :2] / clip[:, 2:] + 1) / 2
         seen = seen[((seen >= 0) & (seen < 1)).all(1)]
-        empty = np.ones(small.shape[:2], bool)
-        height, width = empty.shape
+        height, width = small.shape[:2]
+        empty = np.ones((height, width), bool)
         empty[(seen[:, 1] * height).astype(int), (seen[:, 0] * width).astype(int)] = False
         distance = distance_transform_edt(empty) if not empty.all() else np.full(empty.shape, np.inf)
         far.append(small[distance > width / 10])

@@ -103,7 +103,8 @@ def look_at(
     right = right / np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     focal = size / 2 / np.tan(np.radians(field_of_view) / 2)
-    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    w, x, y, z = map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+    across, down, ahead = map(float, -rotation @ position)
     return Camera(
         width=size,
         height=size,
@@ -111,8 +112,8 @@ def look_at(
         focal_y=float(focal),
         centre_x=size / 2,
         centre_y=size / 2,
-        quaternion=tuple(map(float, quaternion)),
-        translation=tuple(map(float, -rotation @ position)),
+        quaternion=(w, x, y, z),
+        translation=(across, down, ahead),
     )
 
 

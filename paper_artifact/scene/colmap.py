@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def read_model(folder: Path | str) -> Model:
     images that refer to a camera that is not there.
     """
     paths = model_files(folder)
-    parts = []
+    parts: list[Any] = []
     for number, path in enumerate(paths):
         reader = {".bin": _BINARY_READERS, ".txt": _TEXT_READERS}.get(path.suffix, (_read_points_ply,) * 3)[
             number
@@ -150,7 +151,7 @@ def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
     """
     writers = _BINARY_WRITERS if binary else _TEXT_WRITERS
     for name, writer in zip(FILES, writers, strict=True):
-        content = writer(model)
+        content: Any = writer(model)
         path = Path(folder) / (name + (".bin" if binary else ".txt"))
         write_bytes(path, content if binary else os.fsencode(content))
 
@@ -210,7 +211,9 @@ def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
         raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
     if any(part in ("", ".", "..") for part in name.replace("\\", "/").split("/")):
         raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
-    return Pose(name, int(camera), tuple(float(q) for q in numbers[:4]), tuple(float(t) for t in numbers[4:]))
+    w, x, y, z, *translation = map(float, numbers)
+    across, down, ahead = translation
+    return Pose(name, int(camera), (w, x, y, z), (across, down, ahead))
 
 
 def _points(ids: list[int], positions: list, colours: list, errors: list) -> tuple[np.ndarray, ...]:

@@ -60,7 +60,9 @@ def undistorted(
     return Image.fromarray(np.stack(channels, axis=2))
 
 
-def _source(lens: Camera, distortion: tuple[float, ...], zoom: float, u: np.ndarray, v: np.ndarray):
+def _source(
+    lens: Camera, distortion: tuple[float, ...], zoom: float, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return where the distorted picture shows pixels (u, v) of the undistorted one, `zoom` times larger."""
     x, y = bent(
         (u - lens.centre_x) / (lens.focal_x * zoom), (v - lens.centre_y) / (lens.focal_y * zoom), distortion

@@ -129,7 +129,7 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
                 + (" …" if len(missing) > 4 else ""),
                 file=sys.stderr,
             )
-        kept = [each for each in found if each[3] is not None]
+        kept = [(name, matrix, own, path) for name, matrix, own, path in found if path is not None]
         if views is not None and views < len(kept):
             kept = [kept[index] for index in np.linspace(0, len(kept) - 1, views).round().astype(int)]
         return [_frame(file, name, matrix, root, own, path) for name, matrix, own, path in kept]
@@ -214,10 +214,10 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     if np.linalg.det(axes) < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
     both = root | own
-    lens = str(both.get("camera_model") or "PINHOLE").upper()
+    model = str(both.get("camera_model") or "PINHOLE").upper()
     lens = next(
         (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
-        None if lens in LENSES else f"camera_model {lens}",
+        None if model in LENSES else f"camera_model {model}",
     )
     if lens is not None:
         raise InputError(
@@ -252,6 +252,8 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
             "export it again"
         )
     rotation = np.diag([1.0, -1.0, -1.0]) @ axes.T  # y up, z backward → y down, z forward
+    w, x, y, z = map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+    right, below, ahead = map(float, -rotation @ matrix[:3, 3])
     camera = Camera(
         width=width,
         height=height,
@@ -259,8 +261,8 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
         focal_y=focal[1],
         centre_x=values["cx"] * across if "cx" in values else width / 2,
         centre_y=values["cy"] * down if "cy" in values else height / 2,
-        quaternion=tuple(map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))),
-        translation=tuple(map(float, -rotation @ matrix[:3, 3])),
+        quaternion=(w, x, y, z),
+        translation=(right, below, ahead),
     )
     centre = (camera.centre_x, camera.centre_y)
     if not all(SHORTEST < each / width < LONGEST for each in focal) or not np.abs(centre).max() < LARGEST:
@@ -286,7 +288,9 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     return View(path, camera, mask, (), camera)
 
 
-def _focal(values: dict[str, float], width: int, height: int, across: float, down: float):
+def _focal(
+    values: dict[str, float], width: int, height: int, across: float, down: float
+) -> tuple[float, float] | None:
     """Return the focal lengths (x, y) in pixels that the values state, None where they state none."""
     x = values.get("fl_x", 0.0) * across or _of_angle(values.get("camera_angle_x"), width)
     y = values.get("fl_y", 0.0) * down or _of_angle(values.get("camera_angle_y"), height)
@@ -362,7 +366,7 @@ def _cloud(
     clear = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask is not None]
     if not clear or all(mask.all() for _, mask in clear):
         raise InputError("no image is transparent anywhere, so there is no outline; take --cloud random")
-    return hull_cloud(*zip(*clear, strict=True), config.points, draws)
+    return hull_cloud([each for each, _ in clear], [mask for _, mask in clear], config.points, draws)
 
 
 def _model(cameras: Sequence[Camera], points: np.ndarray) -> Model:
