@@ -194,3 +194,16 @@ def test_missing_files_are_named(tmp_path):
     (tmp_path / "points3D.txt").unlink()
     with pytest.raises(InputError, match="points3D.bin or .txt"):
         read_model(tmp_path)
+
+
+def test_a_model_is_parsed_once_and_every_reader_has_a_copy(tmp_path, monkeypatch):
+    pose = Pose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    camera = Intrinsics("PINHOLE", 8, 8, (5.0, 5.0, 4.0, 4.0))
+    places = np.arange(9.0).reshape(3, 3)
+    model = Model({1: camera}, {1: pose}, np.arange(3), places, np.zeros((3, 3), np.uint8), np.zeros(3))
+    write_model(model, tmp_path)
+    first = read_model(tmp_path)
+    first.positions[:], first.images[2] = np.nan, pose
+    monkeypatch.setattr("paper_artifact.scene.colmap._points", None)  # parsing again would fail
+    second = read_model(tmp_path)
+    assert (second.positions == places).all() and list(second.images) == [1]

@@ -190,7 +190,7 @@ def deepen_one(folder):
             lambda folder: (folder / "images" / "view_004.png").write_text("no picture"),
             "view_004.png is no image of the kinds",
         ),
-        (cut_one, "view_004.png is no image of the kinds"),
+        (cut_one, "view_004.png is damaged or no image"),
         (shrink_one, r"several sizes, 24×24 \(\d+\), 12×12 \(1\), .*photos"),
         (widen_one, "60×24 pixels, another aspect"),
         (deepen_one, "convert it to 8-bit RGB"),

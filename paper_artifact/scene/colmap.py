@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def read_model(folder: Path | str) -> Model:
             number
         ]
         try:
-            parts.append(reader(path.read_bytes()))
+            parts.append(_parsed(reader, path.read_bytes()))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         except OSError as error:
@@ -123,7 +124,12 @@ def read_model(folder: Path | str) -> Model:
                 f"{paths[1]}: image {pose.name} refers to camera {pose.camera}, which {paths[0].name} lacks; "
                 "export the model again"
             )
-    return Model(cameras, images, *points)
+    return Model(dict(cameras), dict(images), *(each.copy() for each in points))
+
+
+@lru_cache(maxsize=len(FILES))  # a command reads its scene's model several times: digest, views, subject
+def _parsed(reader: Callable[[bytes], Any], data: bytes) -> Any:
+    return reader(data)
 
 
 def model_files(folder: Path | str) -> list[Path]:
