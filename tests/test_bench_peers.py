@@ -15,9 +15,6 @@ from paper_artifact.alpha.persistence import gudhi_persistence
 from paper_artifact.bench import peers, words_task
 from paper_artifact.cli import bench
 from paper_artifact.errors import InputError
-from paper_artifact.report import measured
-from paper_artifact.report.peers import peers_machine, peers_table, with_machine
-from paper_artifact.report.peers_task import task_machine, task_table
 
 NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topological.nn")
 SMALL = words_task.Task("a small hole", lambda: words_task.slab(200), (1, 1, 0), 1, 8e-3, steps=40)
@@ -200,37 +197,6 @@ def test_peers_are_a_default_part_only_where_one_is_installed(absent, monkeypatc
     assert bench._default_parts() == bench.PARTS
 
 
-def test_a_stored_table_is_not_replaced_by_one_without_the_peers(absent, tmp_path):
-    with pytest.raises(InputError, match="pip install torch-topological"):
-        measured.write("peers", tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_stored_table_says_who_computes_the_same():
-    stored = measured.read("peers")
-    table = peers_table(stored)
-    ours = table.xs(peers.OURS, level="library")
-    assert (ours["both / ours"] == 1).all() and set(table.index.get_level_values("M")) == set(peers.SIZES)
-    oineus = table[[name.startswith("oineus.diff ") for name in table.index.get_level_values("library")]]
-    assert len(oineus) == len(ours) and (oineus[["longest bars", "gradient"]] == "same").all(axis=None)
-    distances = table[
-        [name.startswith("torch-topological ") for name in table.index.get_level_values("library")]
-    ]
-    assert len(distances) and not distances.isin(["same"]).any(axis=None)
-    assert "load" in peers_machine(
-        stored
-    ) and "torch-topological: not measured on torus beyond M = 2048" in peers_machine(stored)
-
-
-def test_the_stored_task_has_every_library_and_the_same_diagrams_take_the_same_steps():
-    stored = measured.read("peers_task")
-    for _, own in stored.groupby("task"):
-        steps = own.set_index("library")["step"]
-        assert set(steps.index) > {"oineus.diff", "torch-topological", "TopologyLayer"}
-        assert steps["oineus.diff"] == steps["paper_artifact, diagrams"] == steps["paper_artifact, BettiLoss"]
-    assert stored["task"].nunique() == 2 and len(task_table(stored)) == len(stored)
-
-
 def test_everyone_is_given_the_same_task(stand_ins):
     """Our loss and the one of tensors agree; a library that computes the same takes our steps."""
     points = torch.tensor(SMALL.cloud())
@@ -248,10 +214,3 @@ def test_everyone_is_given_the_same_task(stand_ins):
     assert not missing and rows[0]["step"] == rows[2]["step"] == rows[3]["step"] > 0
     assert rows[0]["ratio"] == 1 and rows[3]["seconds"] > 0
     assert not words_task.holds(SMALL.cloud(), SMALL)
-    stopped = rows[3] | {"step": None, "taken": 7, "ratio": None, "load": 1.0}
-    stored = with_machine([row | {"load": 1.0} for row in rows[:3]] + [stopped], ["no TopologyLayer"])
-    table = task_table(stored).loc[SMALL.name].reset_index()
-    held = table["words hold from step"]
-    assert (held[0], held[2], held[3]) == (str(rows[0]["step"]), str(rows[2]["step"]), "not in 7")
-    assert table["times BettiLoss"].iloc[0] == "1.0" and table["CPU s"].iloc[3].startswith("stopped at ")
-    assert "no TopologyLayer" in task_machine(stored)

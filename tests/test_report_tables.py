@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from paper_artifact import catalogue
 from paper_artifact.catalogue import Condition, Shape
 from paper_artifact.config import LossConfig
-from paper_artifact.report import cost, generality, matrix, plans
+from paper_artifact.report import generality, matrix, plans
 from paper_artifact.report.kit import tables
 from paper_artifact.report.kit.records import collect, collect_study, target_of
 from paper_artifact.study import studies
@@ -152,7 +152,7 @@ def test_reports_of_nothing(tmp_path):
         plans.plan_figure(empty, PANELS),
     ):
         assert figure.axes
-    assert len(cost.share_table(empty)) == 1 and tables.trajectory_table(empty, "sphere").empty
+    assert tables.trajectory_table(empty, "sphere").empty
 
 
 def test_a_new_row_of_the_catalogue_is_tabulated_and_plotted(tmp_path, monkeypatch):

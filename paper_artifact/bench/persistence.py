@@ -11,6 +11,8 @@ from scipy.spatial import Delaunay
 from paper_artifact.alpha.persistence import STAGES, fast_persistence, gudhi_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
+from paper_artifact.scene.shapes import surface
 
 
 def _torus(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -34,6 +36,19 @@ def _uniform(n: int, rng: np.random.Generator) -> np.ndarray:
 
 Draw = Callable[[int, np.random.Generator], np.ndarray]
 CLOUDS: dict[str, Draw] = {"torus": _torus, "soup": _soup, "uniform": _uniform}
+
+
+def _study_torus(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return n area-weighted samples of the study's torus mesh, world units, as targets and bundles are."""
+    mesh = surface("torus")
+    return sample_surface(mesh.vertices, mesh.faces, n, rng)[0]
+
+
+STUDY_CLOUDS: dict[str, tuple[str, Draw]] = {  # what notebook 07 shows: name, what it is, how it is drawn
+    "torus": ("samples of the study's torus mesh", _study_torus),
+    "soup": ("samples of 300 triangles around a torus, as the loss sees them", _soup),
+    "smooth torus": ("points of an exact torus", _torus),
+}
 
 
 def persistence_rows(

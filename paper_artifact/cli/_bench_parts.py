@@ -101,13 +101,12 @@ def print_reach(folder: Path, arguments: Any) -> None:
 
 def print_persistence(folder: Path, arguments: Any) -> None:
     """Print our persistence beside gudhi's, how both grow, and one large cloud."""
-    from paper_artifact.bench.persistence import growth_text, persistence_rows
+    from paper_artifact.bench.persistence import STUDY_CLOUDS, growth_text, persistence_rows
     from paper_artifact.bench.reach import large_row
-    from paper_artifact.report.cost import CLOUDS
 
     turns = arguments.repetitions
     print(f"Alpha persistence with birth and death simplices; CPU ms, one thread, medians of {turns} in turn")
-    for cloud, (what, draw) in CLOUDS.items():
+    for cloud, (what, draw) in STUDY_CLOUDS.items():
         print(f"  {cloud}: {what}")
         rows = persistence_rows(repetitions=turns, cloud=cloud, draw=draw)
         for row in rows:
@@ -131,7 +130,7 @@ def print_persistence(folder: Path, arguments: Any) -> None:
 
 def _paper(quantity: str, samples: int | None = None) -> str:
     """Return the paper's number of that quantity, at M = `samples` where given, as it is printed."""
-    from paper_artifact.report.kit.published import published
+    from paper_artifact.results import published
 
     rows = published("cost").query("quantity == @quantity")
     return (rows if samples is None else rows[rows["samples"] == samples])["printed"].item()
@@ -169,7 +168,7 @@ def print_loss(folder: Path, arguments: Any) -> None:
 def print_gpu(folder: Path, arguments: Any) -> None:
     """Print the GPU memory of C0 and C1 on the torus beside the paper's, or that there is no GPU."""
     from paper_artifact.bench.gpu import gpu_is_here, memory_row
-    from paper_artifact.report.kit.published import published
+    from paper_artifact.results import published
 
     if not gpu_is_here():
         print("GPU memory (App. H): not measured, no NVIDIA GPU here")

@@ -34,7 +34,7 @@ MEASUREMENTS = {
         "measure_windows",
         "margins of every bundle's features at the study's densities, 40 seeds, the torus's 200",
     ),
-    "cost": ("measure_cost", "time and memory of persistence against the number of samples, on this machine"),
+    "cost": ("", "time and memory of persistence against the number of samples, on this machine"),
     "diagrams": (
         "measure_diagrams",
         "every void bar of one sphere seed at the start and at four steps under C0, C1, C2 (trains them)",
@@ -44,12 +44,12 @@ MEASUREMENTS = {
         "the repair gate without decay, and soups sampled with another mean of their opacities",
     ),
     "perfect": (
-        "measure_perfect",
+        "",
         "the score of a perfect surface: the ground truth sampled again, against the target, 20 seeds",
     ),
     "starts": ("measure_starts", "the soups before training, judged like a dump, five seeds of every shape"),
     "speed": (
-        "measure_speed",
+        "",
         "a training step against triangles and pixels, and whole runs, on one core of this (idle) machine",
     ),
     "photographs": (
@@ -65,11 +65,11 @@ MEASUREMENTS = {
         "CPU time of a refresh and a step of C1, T1 and T2 on committed soups, M = 2048 and 8192",
     ),
     "peers": (
-        "measure_peers",
+        "",
         "differentiable diagrams beside oineus.diff and torch-topological, where installed",
     ),
     "peers_task": (
-        "measure_peers_task",
+        "",
         "time until clouds have Betti numbers in words, beside oineus.diff, torch-topological, TopologyLayer",
     ),
     "solids": (
