@@ -15,9 +15,8 @@ from paper_artifact.raster import twin
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.photometric import make_target
-from paper_artifact.raster.step import PhotometricStep
 from paper_artifact.raster.threads import one_torch_thread, set_thread_count, thread_count
-from paper_artifact.raster.view import ViewRaster, make_camera, to_clip
+from paper_artifact.raster.view import PhotometricStep, ViewRaster, make_camera, to_clip
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FAR, NEAR
 from paper_artifact.scene.load import Scene, load_scene

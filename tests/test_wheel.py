@@ -22,7 +22,7 @@ from tests.test_readme import blocks
 from tests.tiny_run import tiny_arguments
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-IMPORTED_AS = {"scikit-image": "skimage", "pyyaml": "yaml"}
+IMPORTED_AS = {"scikit-image": "skimage", "scikit-learn": "sklearn", "pyyaml": "yaml"}
 EXTRAS = sorted(
     IMPORTED_AS.get(name, name) for names in PROJECT["optional-dependencies"].values() for name in names
 )

@@ -70,19 +70,6 @@ from numba.core import types
 from numba.core.extending import intrinsic
 
 from paper_artifact.kernel_cache import njit
-from paper_artifact.raster.lane_memory import (
-    add_to_rows,
-    aligned_zeros,
-    gather,
-    load,
-    load8,
-    load_part,
-    load_rows,
-    load_unit_part,
-    scatter,
-    store,
-    store_part,
-)
 from paper_artifact.raster.lane_type import (
     BOOL,
     F32,
@@ -90,11 +77,22 @@ from paper_artifact.raster.lane_type import (
     I32,
     WIDTH,
     Lanes,
+    add_to_rows,
+    aligned_zeros,
     call,
     first_lanes,
+    gather,
     int32,
+    load,
+    load8,
+    load_part,
+    load_rows,
+    load_unit_part,
+    scatter,
     shuffle,
     splatted,
+    store,
+    store_part,
 )
 
 # fmt: off

@@ -1,19 +1,22 @@
 """One view of a soup on the CPU, from corners to gradients: the only place that calls the numba kernels.
 
 Each method is one stage and calls the kernels of one module (`visibility`, `shading`, `photometric`,
-`opacity`, `edges`); `step.PhotometricStep` runs them in order for a batch, and the tests hold each to the
-twin in plain torch (`twin`).
+`edges`); `PhotometricStep` runs them in order for a batch of views, the photometric step of training, and the
+tests hold each to the twin in plain torch (`twin`).
 """
 
 from __future__ import annotations
 
+import queue
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from paper_artifact.raster import edges, opacity, photometric, shading, visibility
+from paper_artifact.raster import edges, photometric, shading, visibility
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.lanes import WIDTH
+from paper_artifact.raster.threads import run_jobs
 from paper_artifact.raster.visibility import Planes, Shown, Surface
 
 
@@ -119,7 +122,7 @@ class ViewRaster:
     def add_opacity_gradient(self, views: int, out: np.ndarray) -> None:
         """Add DiffSoup's masking gradient of `error` to out (T,3) float32, for a batch of `views` views."""
         weight = np.float32(1.0 / (views * self.colour.size))
-        opacity.opacity_backward(
+        visibility.opacity_backward(
             self.planes, self._met, self._opacity, self.width, self.surface, self.error, weight, out
         )
 
@@ -165,3 +168,60 @@ def rasterize_opaque(
         image[: height * width].reshape(height, width) for image in (*barycentrics, view.surface.depth)
     )
     return view.seen(), b0, b1, depth
+
+
+class PhotometricStep:
+    """The step for images of one size; it keeps memory between calls, never values.
+
+    Each view goes from raster to gradient before the next, so that its buffers stay in the cache.
+    """
+
+    def __init__(self, height: int, width: int, background: np.ndarray) -> None:
+        """Make the step for images of height × width pixels over background (3,) in [0,1]."""
+        self._size, self._background = (height, width), background
+        # As many views' buffers as were ever in work at the same time: one per thread.
+        self._idle: queue.SimpleQueue[ViewRaster] = queue.SimpleQueue()
+        self._gradients: list[np.ndarray] = []
+
+    def __call__(
+        self,
+        soup: SoupArrays,
+        cameras: Sequence[ViewCamera],
+        targets: Sequence[np.ndarray],
+        keys: Sequence[int],
+    ) -> tuple[float, SoupArrays]:
+        """Return the loss of the batch and its gradients, summed over the views in their order.
+
+        One camera, target (`photometric.make_target`) and draw key (`draws.view_key`) per view. The opacity
+        gradient is DiffSoup's masking gradient, the vertices' is the edge gradient.
+        """
+        count = len(keys)
+        gradients = self._zeroed(count, soup)
+
+        def job(index: int) -> float:
+            camera, target = cameras[index], targets[index]
+            out = SoupArrays.of(array[index] for array in gradients)
+            try:
+                view = self._idle.get_nowait()
+            except queue.Empty:
+                view = ViewRaster(*self._size)
+            view.render(soup, camera, self._background, keys[index])
+            loss = view.compare(target, count)
+            view.add_opacity_gradient(count, out.opacity)
+            view.add_edge_gradient(camera.matrix, out.vertices)
+            view.add_shading_gradient(soup, camera.rays, out.features, out.mlp)
+            self._idle.put(view)
+            return loss
+
+        loss = sum(run_jobs(job, count))
+        return loss, SoupArrays.of(array[:count].sum(0) for array in gradients)
+
+    def _zeroed(self, count: int, soup: SoupArrays) -> list[np.ndarray]:
+        # One gradient per view, kept between steps: fresh ones would be fresh pages of memory each time.
+        kept = self._gradients
+        if not kept or len(kept[0]) < count or kept[0].shape[1] != len(soup.vertices):
+            kept = [np.empty((count, *array.shape), np.float32) for array in soup.flat()]
+            self._gradients = kept
+        for array in kept:
+            array[:count].fill(0.0)
+        return kept

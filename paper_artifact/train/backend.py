@@ -11,8 +11,7 @@ import torch
 
 from paper_artifact.errors import InputError
 from paper_artifact.raster.photometric import make_target
-from paper_artifact.raster.step import PhotometricStep
-from paper_artifact.raster.view import make_camera
+from paper_artifact.raster.view import PhotometricStep, make_camera
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup, soup_of
 
