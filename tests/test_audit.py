@@ -149,24 +149,18 @@ def test_the_page_holds_everything_itself():
 
 def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, capsys):
     trimesh.creation.box(extents=(1, 1, 0.001)).export(tmp_path / "sheet.ply")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "bundle.json").write_text("of an earlier audit")
-    arguments = [
-        "audit",
-        str(tmp_path / "sheet.ply"),
-        "--out",
-        str(tmp_path / "out"),
-        "--quiet",
-        "--densities",
-        "128",
-        "--working",
-        "256",
-    ]
-    assert cli.main(arguments) == 0
+    words = ["audit", str(tmp_path / "sheet.ply"), "--densities", "128", "--working", "256", "--out"]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "bundle.json").write_text("somebody's")
+    assert (
+        cli.main([*words, str(tmp_path / "other")]) == 1
+    )  # it would not be written, but look like this mesh's
+    assert "was not written by this command" in capsys.readouterr().err
+    assert cli.main([*words, str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "Nothing is measurable" in printed and "C0, the images alone, trains" in printed
     assert f"paper_artifact train {tmp_path}/sheet.ply\n" in printed and "--condition" not in printed
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["audit.html", "audit.json"]
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["audit.html", "audit.json"]
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
     assert (
         stored["decision"]["samples"] is None
@@ -253,3 +247,14 @@ def test_large_meshes_are_made_light_for_the_page():
     light = light_mesh(mesh, most=1000)
     assert 100 < len(light.faces) <= 1000 and light.diagonal == pytest.approx(mesh.diagonal, rel=0.05)
     assert light_mesh(mesh, most=6000).faces is mesh.faces
+
+
+def test_a_thin_wall_made_light_stays_closed_and_does_not_touch_itself():
+    outer, inner = trimesh.creation.icosphere(5), trimesh.creation.icosphere(5, radius=0.995)
+    faces = np.concatenate([outer.faces, inner.faces[:, ::-1] + len(outer.vertices)])
+    shell = checked_mesh(np.concatenate([outer.vertices, inner.vertices]), faces, "shell")
+    light = light_mesh(shell, most=6000)
+    assert 1000 < len(light.faces) <= 6000
+    edges = np.sort(light.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all()
+    assert len(trimesh.Trimesh(light.vertices, light.faces, process=False).split(only_watertight=False)) == 2

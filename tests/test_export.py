@@ -28,7 +28,14 @@ from paper_artifact.export.models import (
     write_ply,
 )
 from paper_artifact.export.renders import sheet, write_png
-from paper_artifact.export.viewer import html_page, scene_viewpoint, shape_viewpoint, write_html
+from paper_artifact.export.viewer import (
+    framing,
+    html_page,
+    scene_viewpoint,
+    shape_viewpoint,
+    up_of,
+    write_html,
+)
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import look_at, world_to_clip
@@ -222,3 +229,27 @@ def test_the_view_opens_where_it_is_told():
     away = np.subtract(shape["eye"], shape["target"])
     np.testing.assert_allclose(away / np.linalg.norm(away), row.view / np.linalg.norm(row.view), atol=1e-6)
     assert '<input type="checkbox" id="light" checked>' in html_page({"soup": triangles}, "t")
+
+
+def test_a_title_is_no_template_and_huge_soups_are_written(tmp_path):
+    triangles = random_triangles()
+    plain = html_page({"soup": triangles}, "x")
+    for title in ("@DATA@ {{ data }} </title>", "</script><script>alert(1)</script>"):
+        page = html_page({"soup": triangles}, title)
+        assert page.count("<script") == 2 and abs(len(page) - len(plain)) < 300
+    huge = replace(
+        triangles, vertices=triangles.vertices * np.float32(1e37), opacity=triangles.opacity * 0 + 1
+    )
+    data = re.search(r'type="application/json">(.*?)</script>', html_page({"soup": huge}, "x"))[1]
+    assert 1e36 < json.loads(data)["radius"] < 1e39
+    write_ply(tmp_path / "a.ply", huge)
+    write_glb(tmp_path / "a.glb", huge)
+    for name in ("a.ply", "a.glb"):
+        read = trimesh.load(tmp_path / name, force="mesh", process=False)
+        np.testing.assert_allclose(read.triangles.max(), huge.vertices.max(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("file, up", [("my.obj", 1), ("A.GLB", 1), ("scan.ply", 2), ("torus", 2), (None, 2)])
+def test_what_is_upwards(file, up):
+    view = framing(np.array([[-1.0, -1, -1], [1, 1, 1]]), up=up_of(file))
+    assert view.up[up] == 1 and view.eye[up] > 0.5 and view.target == (0, 0, 0)

@@ -146,21 +146,28 @@ def _joined(parts: Sequence[Triangles]) -> Triangles:
 def light_mesh(mesh: Mesh, most: int = 60_000) -> Mesh:
     """Return the mesh itself or, above `most` triangles, a coarser one for a picture only.
 
-    Its vertices are those of each cell of a grid merged to their mean. The grid is coarsened until at most
-    `most` triangles are left; the topology may change.
+    The vertices in each cell of a grid are merged to their mean where their normals lie in one octant: the
+    two sides of a thin wall stay apart. The grid is coarsened until at most `most` triangles are
+    left. A closed surface stays closed; the topology may change.
     """
     cells = 256
     vertices, faces = mesh.vertices, mesh.faces
+    corners = mesh.vertices[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(mesh.vertices)
+    for place in range(3):
+        np.add.at(normals, mesh.faces[:, place], across)
+    octant = (normals > 0) @ (1 << np.arange(60, 63))
     while len(faces) > most:
-        keys = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / (mesh.diagonal / cells)).astype(
-            np.int64
-        )
-        _, group = np.unique(keys @ (1 << np.array([0, 20, 40])), return_inverse=True)
+        low, cell = mesh.vertices.min(axis=0), mesh.diagonal / cells
+        keys = np.floor((mesh.vertices - low) / cell).astype(np.int64) @ (1 << np.array([0, 20, 40]))
+        _, group = np.unique(keys + octant, return_inverse=True)
         size = np.bincount(group)
         vertices = np.stack(
             [np.bincount(group, weights=mesh.vertices[:, axis]) / size for axis in range(3)], axis=1
         )
         vertices, faces = weld(vertices, group[mesh.faces])
-        faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        faces = faces[first[count % 2 == 1]]  # two sides of nothing go
         cells = cells * 3 // 4
     return Mesh(vertices, faces, mesh.name)

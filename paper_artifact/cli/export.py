@@ -79,13 +79,14 @@ def export(options: Export) -> int:
     return 0
 
 
-def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint | None:
-    """Where the HTML view opens: at the scene's first camera, as the study shows that shape, or anywhere."""
+def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint:
+    """Where the HTML view opens: at the first camera, as the study shows that shape, or from above."""
     from paper_artifact.catalogue import SHAPES
-    from paper_artifact.export.viewer import scene_viewpoint, shape_viewpoint
+    from paper_artifact.export.viewer import framing, scene_viewpoint, shape_viewpoint, up_of
     from paper_artifact.scene.load import load_scene
 
     if options.scene is not None:
         return scene_viewpoint(load_scene(options.scene, **settings))
     row = next((each for each in SHAPES if each.name == options.target), None)
-    return row and shape_viewpoint(row, triangles.visible().vertices.reshape(-1, 3))
+    points = triangles.visible().vertices.reshape(-1, 3)
+    return shape_viewpoint(row, points) if row else framing(points, up=up_of(options.target))

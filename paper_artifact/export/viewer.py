@@ -119,7 +119,7 @@ def html_page(
         raise InputError(
             "the triangles hold coordinates that are not finite; the run that made them has diverged"
         )
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
     seen = viewpoint or framing(points)
     data = {
         "centre": [float(x) for x in (low + high) / 2],
