@@ -74,7 +74,7 @@ def mesh_hash(mesh: Mesh) -> str:
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Merge exactly equal points (no tolerance), in the order of first appearance.
 
-    Return vertices (V',3) float64 and faces (F',3) int64: points that no face uses and faces that came to
+    Return vertices (V',3) float64 and faces (F',3) int64: points that no face uses and faces that now
     use one point twice are dropped, both are no part of the surface (an unused point would move the bounding
     box).
     """

@@ -245,7 +245,7 @@ def test_images_of_several_sizes(folder, tmp_path):
     with Image.open(folder / "train" / "r_3.png") as image:
         image.crop((0, 0, 60, 40)).save(folder / "train" / "cut.png")
     frames[3]["file_path"] = "train/cut"
-    with pytest.raises(InputError, match=r"changed.json lists .* sizes, 60×60 \(13\), 60×40 \(1\); bring"):
+    with pytest.raises(InputError, match=r"changed.json lists .* sizes, 60×60 \(13\), 60×40 \(1\); scale"):
         transforms_scene(changed(folder, frames=frames), tmp_path / "bad")
 
 

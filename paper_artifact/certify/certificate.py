@@ -84,7 +84,7 @@ class Certificate:
     betti: tuple[int, int, int]  # of the whole complex, over Z/2
     betti2_dual: int | None  # b2 once more, by duality; None where that would be too large
     components: tuple[Component, ...]  # largest first
-    kind: str  # in words
+    kind: str  # as text
     with_boundary: bool  # whether open edges were allowed
     verdict: str  # "pass" or "fail"
     reasons: tuple[str, ...]  # of a failure
@@ -134,20 +134,20 @@ def certify(
     """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64, as `certify_mesh`
     does.
     """
-    tell = progress or (lambda stage: None)
-    tell("weld")
+    stage = progress or (lambda name: None)
+    stage("weld")
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
         raise InputError(f"{name} has no triangle with three different corners; give a mesh with a surface")
-    tell("edges")
+    stage("edges")
     simplices = make_complex(indexed, len(welded))
-    tell("manifold checks")
+    stage("manifold checks")
     checks = check_surface(welded, indexed, simplices.component_of_vertex)
-    tell("exact homology")
+    stage("exact homology")
     betti, counts = betti_numbers(simplices), simplices.counts()
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
     total = _triple(betti.sum(axis=0))
-    tell("voids by duality")
+    stage("voids by duality")
     dual = dual_voids(simplices)
     numbers = {name: int(getattr(checks, name).sum()) for name in FAULTS}
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
@@ -296,7 +296,7 @@ def _apart(vertices: np.ndarray, faces: np.ndarray) -> list[str]:
 
 
 def _kind(components: list[Component]) -> str:
-    """Return what the mesh is, in words: of one component its surface, else how many of which sort."""
+    """Return what the mesh is: of one component its surface, of several how many of which sort."""
     sorts: dict[str, int] = {}
     for each in components:
         sorts[_sort_of(each)] = sorts.get(_sort_of(each), 0) + 1

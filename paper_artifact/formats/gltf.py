@@ -250,7 +250,10 @@ class _Reader:
         try:
             mesh = DracoPy.decode(self.view_bytes(view))
         except Exception as error:  # the decoder raises FileTypeException, which is no ValueError
-            raise ValueError(f"its Draco data cannot be decoded: {error}") from error
+            raise InputError(
+                "it is compressed with Draco (KHR_draco_mesh_compression), which DracoPy cannot decode "
+                f"({error}); decompress it: npx @gltf-transform/cli cp IN.glb OUT.glb, or export it again"
+            ) from error
         points = _normalized(np.asarray(mesh.points), accessor).astype(np.float64)
         if len(points) != accessor["count"]:
             raise ValueError(f"it declares {accessor['count']} points and its Draco data have {len(points)}")

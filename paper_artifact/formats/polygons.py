@@ -21,7 +21,9 @@ NOT_POLYGONS = {"surf": "free-form surfaces", "bsp": "patches", "bzp": "patches"
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
-BENT = 1e-3  # of a polygon's length: one this far from a plane has no crossing that could be told
+BENT = (
+    1e-3  # of a polygon's length: beyond this distance from a plane it is too bent to be said to cross itself
+)
 FLAT = 1e-9  # of a polygon's area: what a triangle may be wound the wrong way by rounding
 
 

@@ -124,7 +124,7 @@ def _quads(bands: int, count: int, leave_out: Collection[tuple[int, int]] = ()) 
 
 
 def _handle(direction: float) -> Shell:
-    """Return points and faces of a bar that stands off the wall: a 12-sided tube, capped at one end."""
+    """Return points and faces of a bar outside of the wall: a 12-sided tube, capped at one end."""
     wall = FLOOR_RADIUS + (RIM_RADIUS - FLOOR_RADIUS) * HANDLE_HEIGHT / RIM_HEIGHT
     angles = direction + HANDLE_ANGLE * np.array([-1, -1, -0.5, 0, 0.5, 1, 1])
     radii = wall + np.array([0.0, 1, 1, 1, 1, 1, 0]) * (HANDLE_GAP + HANDLE_TUBE)

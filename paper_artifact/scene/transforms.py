@@ -156,7 +156,7 @@ def transforms_scene(
     given = _given_cloud(Path(file)) if config.cloud == CLOUDS[0] else None
     sizes = Counter((view.camera.width, view.camera.height) for view in frames)
     if len(sizes) > 1:
-        raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; bring them to one size")
+        raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; scale them to one size")
     key = _key(
         [Path(file), *(view.image for view in frames), *(view.mask for view in frames if view.mask)]
         + ([given] if given else []),
@@ -310,7 +310,7 @@ def _picture(view: View) -> Image.Image:
             kept = read.convert("L")
         if kept.size != image.size:
             raise InputError(
-                f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; bring them to one size"
+                f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; scale them to one size"
             )
         image.putalpha(ImageChops.multiply(image.getchannel("A"), kept))
     return undistorted(image, view.lens, view.camera, view.distortion) if view.distortion else image
