@@ -99,7 +99,7 @@ CONDITIONS: tuple[Condition, ...] = (
     ),
     Condition("C2g", "C2 with half the radius", "#5a241d", LossConfig("repulsion", repulsion_radius=2.0)),
     Condition("C3", "C1 without the ramp", "#5fcbe8", LossConfig(ramp=None)),
-    # Deferred in the paper; the definition is ours (see `paper_artifact.topology.curvature`).
+    # Deferred in the paper; the definition is ours (see `paper_artifact.topology.plan`).
     Condition("C4", "C1 with curvature-weighted terms", "#8f8d96", LossConfig(curvature_weighted=True)),
     Condition(
         "C5", "C1 with the spread prior B4", "#d3bf20", LossConfig(), allocation=replace(PRIOR, spread=3.0)
@@ -120,7 +120,7 @@ CONDITIONS: tuple[Condition, ...] = (
         "#8fcfb4",
         allocation=replace(PRIOR, centres="random", spread=3.0),
     ),
-    # Not the paper's: no ground truth, Betti numbers in words (`paper_artifact.topology.betti`).
+    # Not the paper's: no ground truth, Betti numbers in words (`paper_artifact.topology.loss`).
     Condition(
         "T1",
         "Betti numbers in words; other bars above the floor to the diagonal",

@@ -90,9 +90,7 @@ class LossConfig:
         "bundle", "whose 6 r_med a significant live bar exceeds", choices=("bundle", "live")
     )
     fallback: str = _setting(
-        "detach",
-        "of a pair that fails the Gabriel gate (`alpha.radii`)",
-        choices=("detach", "drop", "subgradient", "denser"),
+        "detach", "of a pair that fails the Gabriel gate (`alpha.radii`)", choices=("detach", "drop")
     )
     method: str = _setting("fast", "of alpha persistence", choices=("fast", "gudhi"))
     # Of the kind "betti" alone.
@@ -191,7 +189,7 @@ class RunConfig:
     initial_ratio: float = _setting(7.5, "initial triangles ÷ budget", above=0)
     resample_every: int = _setting(100, "steps between two resamplings", 1)
     split_views: int = _setting(20, "views in which long edges are split", 0)
-    split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", above=0)
+    split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", 1e-4)
     dump_steps: tuple[int, ...] = _setting(DUMP_STEPS, "evaluated steps")
     samples: int = _setting(20_000, "surface samples of an evaluation", 4)
     # What a scene of photographs does to training views and start (`paper_artifact.scene.build`); held-out

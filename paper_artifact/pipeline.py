@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from paper_artifact.config import LEAST_SIDE, NOISES, AllocationConfig, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
+from paper_artifact.evaluate.diagram import require_memory_for
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import (
     TAIL_DUMPS,
@@ -25,7 +26,7 @@ from paper_artifact.evaluate.scores import (
     tails,
 )
 from paper_artifact.files import OWN, RESULTS, write_failure
-from paper_artifact.frame import SAME
+from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import (
@@ -39,16 +40,14 @@ from paper_artifact.record.store import (
 )
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import Perturbation, SceneConfig, build_scene, scene_folder
-from paper_artifact.scene.given import is_own, resolve
+from paper_artifact.scene.given import Given, is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
-from paper_artifact.soup.allocation import allocating_resampler
-from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.resample import Resampler, allocating_resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
 from paper_artifact.topology.statement import Statement, ended, frame_diagonal
-from paper_artifact.topology.term import TopologyTerm
-from paper_artifact.topology.words import words_term
+from paper_artifact.topology.term import TopologyTerm, statement_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 
@@ -66,7 +65,7 @@ def make_run_term(
 ) -> tuple[TopologyTerm | None, Bundle | None]:
     """Return (loss term, target bundle) of a configuration; (None, None) for no loss.
 
-    bundle: a target that is there already, instead of the mesh. A loss in words has no bundle and needs no
+    bundle: a target, instead of the mesh. Stated Betti numbers have no bundle and need no
     mesh, but the SfM cloud's `points` (P,3), world units. strict, tell: see `TopologyTerm`. Raises
     InputError for a bundle without a bar, or a cloud too small or flat.
     """
@@ -75,7 +74,7 @@ def make_run_term(
         return None, None
     if loss.kind == "betti":
         assert points is not None
-        return words_term(loss, points, config.steps, config.seed, strict=strict, tell=tell), None
+        return statement_term(loss, points, config.steps, config.seed, strict=strict, tell=tell), None
     if bundle is None:
         assert mesh is not None
         bundle = build_from_mesh(
@@ -134,19 +133,6 @@ def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 
-def given_scene(config: RunConfig, folder: Path) -> Scene:
-    """Return the scene in `folder` as a run sees it. Raises InputError for photographs that are too small."""
-    given = config.given or GivenConfig()
-    scene = load_scene(folder, downscale=given.downscale, background=given.background, holdout=given.holdout)
-    height, width = scene.images.shape[2:]
-    if min(height, width) < LEAST_SIDE:
-        raise InputError(
-            f"the images of {folder} are {width}×{height} pixels, at least {LEAST_SIDE} a side are needed; "
-            "give a smaller --downscale"
-        )
-    return scene
-
-
 def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]:
     """Return what a user should know before a run on a scene that was given, a sentence each."""
     found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
@@ -165,6 +151,79 @@ def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]
     return found
 
 
+@dataclass(frozen=True)
+class StudyMesh:
+    """A run on a shape of the study: its views are rendered from the mesh."""
+
+    given: Given
+    results: ClassVar[Path] = RESULTS  # where a run's results go unless a folder is named
+
+    def scene(self, results: Path) -> Scene:
+        """Return the scene that the run trains on, built below `results` where it does not exist."""
+        assert self.given.mesh is not None
+        return prepare_scene(self.given.config, self.given.mesh, results / "scenes")
+
+    def remarks(self, scene: Scene) -> list[str]:
+        """Return what a user should know before the run, a sentence each."""
+        return []
+
+    def content(self) -> str:
+        """Return a hash of what the run was given, which names its checkpoint."""
+        return config_hash(self.given.config) if self.given.mesh is None else mesh_hash(self.given.mesh)
+
+    def sections(self, scene: Scene, target: Target | None) -> dict[str, Any]:
+        """Return the record's sections of ground truth and photographs."""
+        if self.given.mesh is None or target is None:
+            return {}
+        return {"mesh": mesh_section(self.given.mesh, target)}
+
+
+class OwnMesh(StudyMesh):
+    """A run on one's own mesh file; its results are not the study's."""
+
+    results: ClassVar[Path] = OWN
+
+
+class OwnScene(OwnMesh):
+    """A run on one's own photographs, with a target or without."""
+
+    def scene(self, results: Path) -> Scene:
+        """Return the scene as the run sees it. Raises InputError for photographs that are too small."""
+        given, folder = self.given.config.given or GivenConfig(), self.given.folder
+        assert folder is not None
+        scene = load_scene(
+            folder, downscale=given.downscale, background=given.background, holdout=given.holdout
+        )
+        height, width = scene.images.shape[2:]
+        if min(height, width) < LEAST_SIDE:
+            raise InputError(
+                f"the images of {folder} are {width}×{height} pixels, at least {LEAST_SIDE} a side are "
+                "needed; give a smaller --downscale"
+            )
+        return scene
+
+    def remarks(self, scene: Scene) -> list[str]:
+        """Return what a user should know before the run, a sentence each."""
+        return remarks(self.given.config, scene, self.given.bundle)
+
+    def content(self) -> str:
+        """Return a hash of what the run was given, which names its checkpoint."""
+        return config_hash(self.given.config)
+
+    def sections(self, scene: Scene, target: Target | None) -> dict[str, Any]:
+        """Return the record's sections of ground truth and photographs."""
+        return super().sections(scene, target) | {"scene": scene_section(scene)}
+
+
+def subject_of(config: RunConfig, mesh: Mesh | None = None) -> StudyMesh:
+    """Return what a configuration asks for, read and checked, as one of the three kinds of runs; errors as
+    `scene.given.resolve`."""
+    given = resolve(config, mesh)
+    if given.config.given is None:
+        return StudyMesh(given)
+    return OwnMesh(given) if given.folder is None else OwnScene(given)
+
+
 def run(
     config: RunConfig,
     *,
@@ -176,104 +235,115 @@ def run(
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
 ) -> dict:
-    """Return the record of one configuration: train, evaluate, write record and soup, or read what is there.
+    """Return the record of one configuration: train, evaluate, write record and soup, or read what exists.
 
     config.shape: a shape of the study, a mesh file or a scene's folder; the record has the content's digest
     in the place of a path (`scene.given.resolve`). results: folder that gets runs/ (the record), soups/,
     scenes/, targets/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
-    each remark of a loss in words and of a scene; strict: what contradicts the words is an InputError. Raises
-    InputError for bad input or a folder that is not writable, before any training.
+    each remark on stated Betti numbers and on a scene; strict: what contradicts the statement is an
+    InputError. Raises InputError for bad input or a folder that is not writable, before any training.
     """
     check_device(device)
-    given = resolve(config, mesh)
-    config, mesh = given.config, given.mesh
-    results = results if results is not None else results_of(config)
+    subject = subject_of(config, mesh)
+    config, results = subject.given.config, results or subject.results
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
         return read_record(recorded)
-    in_words = config.loss is not None and config.loss.kind == "betti"
-    term, bundle = None, given.bundle
-    if not in_words:  # before the scene: a loss without a target is told at once
-        term, bundle = make_run_term(config, mesh, bundle=bundle)
-    path = record_path(config, results / "runs")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise write_failure(f"results to {results}", error) from error
-    if given.folder is not None and config.given is not None:
-        scene = given_scene(config, given.folder)
-        if tell is not None:
-            for remark in remarks(config, scene, bundle):
-                tell(remark)
-    else:
-        assert mesh is not None
-        scene = prepare_scene(config, mesh, results / "scenes")
-    if in_words:  # from the scene: the mesh is for the evaluation alone
-        term, bundle = make_run_term(config, None, scene.points, strict=strict, tell=tell)
-    frame, truth = scene.frame, mesh
-    if frame != SAME:
-        mesh = None if mesh is None else mesh.framed(frame)
-        if bundle is not None:
-            bundle = replace(bundle, diagonal=frame.length(bundle.diagonal))
-            term, _ = make_run_term(config, None, bundle=bundle)
+    require_memory_for(config.samples)
+    bundle = target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
+    path = writable(record_path(config, results / "runs"))
+    scene = subject.scene(results)
+    for remark in subject.remarks(scene) if tell is not None else ():
+        tell(remark)
+    mesh, bundle = in_frame(scene.frame, subject.given.mesh, bundle)
+    term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
     target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
     resampler, importance = make_run_allocation(config, mesh, scene.points)
-    source = mesh_hash(truth) if given.folder is None and truth is not None else config_hash(config)
-    checkpoint = results / "checkpoints" / f"{path.stem}-{source[:8]}.pt"
+    checkpoint = results / "checkpoints" / f"{path.stem}-{subject.content()[:8]}.pt"
     cpu = time.process_time()
-
-    def evaluate(soup: Soup, step: int) -> dict:
-        corners, opacity = soup.vertices.detach().numpy(), soup.corner_opacity()
-        if target is None:
-            seen = evaluate_alone(
-                corners, opacity, frame_diagonal(scene.points), config.samples, config.seed, step
-            )
-        else:
-            seen = evaluate_soup(corners, opacity, target, config.seed, step)
-        return seen | {"triangles": len(soup)}
-
     state = train(
         scene,
         config,
         term=term,
-        evaluate=evaluate,
+        evaluate=evaluator(config, scene, target),
         checkpoint=checkpoint,
         progress=progress,
         device=device,
         resampler=resampler,
         importance=importance,
     )
-    sections: dict[str, Any] = {
+    sections = {
         "images": holdout_section(state.soup, scene),
         "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
+        **subject.sections(scene, target),
+        **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
+        **({} if term is None else term_sections(term)),
     }
-    if truth is not None and target is not None:
-        sections["mesh"] = mesh_section(truth, target)
-    if given.folder is not None:
-        sections["scene"] = scene_section(scene)
-    if frame != SAME:
-        sections["frame"] = frame.to_json()
-    if term is not None:
-        name = "statement" if bundle is None else "bundle"
-        sections |= {"topology": term.log, name: term.target.to_json()}
-    losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
+    losses = {"step": range(1, len(state.losses) + 1), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
-    save_soup(results / "soups" / f"{path.stem}.npz", state.soup, frame)
+    save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
     return record
 
 
+def target_bundle(config: RunConfig, given: Given) -> Bundle | None:
+    """Return what the run's loss acts towards; None for no loss and for stated Betti numbers. Raises
+    InputError for a target without a significant bar."""
+    if config.loss is None or config.loss.kind == "betti" or given.bundle is not None:
+        return given.bundle
+    assert given.mesh is not None
+    return make_run_term(config, given.mesh)[1]
+
+
+def writable(path: Path) -> Path:
+    """Return `path` when its folder exists or can be made. Raises InputError otherwise."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_failure(f"results to {path.parent.parent}", error) from error
+    return path
+
+
+def in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Mesh | None, Bundle | None]:
+    """Return the target in the coordinates of the run's frame."""
+    if frame != SAME:
+        mesh = None if mesh is None else mesh.framed(frame)
+        bundle = None if bundle is None else replace(bundle, diagonal=frame.length(bundle.diagonal))
+    return mesh, bundle
+
+
+def evaluator(config: RunConfig, scene: Scene, target: Target | None) -> Callable[[Soup, int], dict]:
+    """Return what makes a dump of (soup, step): against the target, or alone where there is none."""
+
+    def evaluate(soup: Soup, step: int) -> dict:
+        corners, opacity = soup.vertices.detach().numpy(), soup.corner_opacity()
+        if target is None:
+            unit = frame_diagonal(scene.points)
+            shown = evaluate_alone(corners, opacity, unit, config.samples, config.seed, step)
+        else:
+            shown = evaluate_soup(corners, opacity, target, config.seed, step)
+        return shown | {"triangles": len(soup)}
+
+    return evaluate
+
+
+def term_sections(term: TopologyTerm) -> dict[str, Any]:
+    """Return the record's sections of the loss: its log, and its statement or bundle."""
+    name = "statement" if isinstance(term.target, Statement) else "bundle"
+    return {"topology": term.log, name: term.target.to_json()}
+
+
 def audit_remarks(record: dict, kind: str) -> list[str]:
-    """Return what a record's audit says of the words that its loss was given: its "warnings" or "notes"."""
+    """Return what a record's audit says of the stated Betti numbers: its "warnings" or "notes"."""
     audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
     return [each for event in audits for each in event.get(kind, ())]
 
 
 def closing_notes(record: dict) -> list[str]:
-    """Return `topology.statement.ended` of a record of a loss in words, nothing of another."""
+    """Return `topology.statement.ended` of a record of stated Betti numbers, nothing of another."""
     loss, said = config_of(record).loss, record.get("statement")
     if loss is None or said is None:
         return []

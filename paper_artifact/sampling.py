@@ -53,3 +53,27 @@ def sample_surface(
     barycentrics = np.stack([1 - root, root * (1 - u[2]), root * u[2]], axis=1)
     points = np.einsum("nk,nkc->nc", barycentrics, vertices[faces[face]])
     return points, face.astype(np.int64), barycentrics
+
+
+def sample_soup(
+    vertices: np.ndarray, opacity: np.ndarray | None, count: int, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draw `count` points of a triangle soup with density area × α; returns and errors as `sample_surface`.
+
+    vertices (T,3,3) float, world units; opacity (T,3) float in [0,1] (after the sigmoid), of which α is a
+    triangle's mean, or None for 1 (paper §3.2). Raises InputError also for wrong shapes, coordinates that are
+    not finite or opacities outside [0,1].
+    """
+    vertices = np.asarray(vertices, dtype=np.float64)
+    shape = np.shape(vertices[..., 0]) if opacity is None else np.shape(opacity)
+    if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or shape != vertices.shape[:2]:
+        raise InputError(f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {shape}")
+    alpha = None if opacity is None else np.asarray(opacity, dtype=np.float64)
+    if not np.isfinite(vertices).all() or not (alpha is None or ((alpha >= 0) & (alpha <= 1)).all()):
+        raise InputError(
+            "the soup holds coordinates that are not finite or opacities outside [0, 1]; "
+            "its training has diverged"
+        )
+    faces = np.arange(3 * len(vertices)).reshape(-1, 3)
+    weights = None if alpha is None else alpha.mean(axis=1)
+    return sample_surface(vertices.reshape(-1, 3), faces, count, generator, weights)

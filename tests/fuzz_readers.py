@@ -204,9 +204,7 @@ def _soups(folder: Path) -> dict[str, Sample]:
     from paper_artifact.soup.adam import soup_optimiser
     from paper_artifact.soup.initialise import initial_soup
     from paper_artifact.soup.state import load_soup, save_soup
-    from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
-    from paper_artifact.train.state import TrainState
-    from paper_artifact.train.term import NoTerm
+    from paper_artifact.train.state import TrainState, resumed_state, write_checkpoint
     from tests.tiny_run import tiny_config
 
     torch.set_num_threads(1)
@@ -214,10 +212,10 @@ def _soups(folder: Path) -> dict[str, Sample]:
     save_soup(folder / "soup.npz", soup)
     backend: Any = SimpleNamespace(to_host=lambda each: each, to_device=lambda each: each)
     state, file = TrainState(10, soup, soup_optimiser(soup)), folder / "checkpoint.pt"
-    write_checkpoint(file, tiny_config(), state, NoTerm(), backend)
+    write_checkpoint(file, tiny_config(), state, None, backend)
 
     def resume() -> object:
-        return resumed_state(file, tiny_config(), NoTerm(), backend)
+        return resumed_state(file, tiny_config(), None, backend)
 
     return {
         "soup": Sample(

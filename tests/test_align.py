@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.align import similarity
+from paper_artifact.evaluate.geometry import similarity
 from paper_artifact.randomness import stream
 
 

@@ -12,9 +12,13 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_allocation, make_run_importance
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.soup.allocation import allocating_resampler, most_important, protective_order
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import plain_resampler
+from paper_artifact.soup.resample import (
+    allocating_resampler,
+    most_important,
+    plain_resampler,
+    protective_order,
+)
 from paper_artifact.soup.split import bisected
 from paper_artifact.soup.state import Soup, initial_mlp
 from paper_artifact.topology.floor import median_spacing

@@ -15,13 +15,18 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.topology import BettiLoss, cleaned
 from paper_artifact.topology.bundle import build_bundle
-from paper_artifact.topology.clean import projected, trimmed
-from paper_artifact.topology.density import choose_density
 from paper_artifact.topology.floor import measurement_floor
-from paper_artifact.topology.pulls import DIAGONAL, NONE
-from paper_artifact.topology.schedule import LEAST_RATIO, peak_weight
-from paper_artifact.topology.statement import Statement, contradictions, frame_diagonal, unseen
-from paper_artifact.topology.term import TopologyTerm
+from paper_artifact.topology.plan import DIAGONAL, NONE
+from paper_artifact.topology.statement import (
+    Statement,
+    choose_density,
+    contradictions,
+    frame_diagonal,
+    projected,
+    trimmed,
+    unseen,
+)
+from paper_artifact.topology.term import LEAST_RATIO, TopologyTerm, peak_weight
 
 T2 = {"guard": 0.0, "suppress": "all"}
 
@@ -152,8 +157,6 @@ def test_points_that_no_loss_can_be_had_of_are_refused():
             BettiLoss((1, 1, 0))(torch.tensor(points))
     with pytest.raises(InputError, match=r"9999 finite bars of dimension 1 \(loops\).*have \d+ in all"):
         BettiLoss((1, 9999, 0))(torch.tensor(cloud_of("sphere", 60)))
-    with pytest.raises(InputError, match="samples a surface again"):
-        BettiLoss((1, 1, 0), fallback="denser")
     with pytest.raises(InputError, match="positive length"):
         BettiLoss((1, 1, 0), diagonal=-1.0)
 
@@ -213,18 +216,19 @@ def test_a_term_audits_its_words_once_before_any_gradient():
     told: list[str] = []
     soup, term = soup_of("sphere"), words_of((1, 0, 0), tell=told.append)
     for step in (20, 22, 32):
-        term.refresh_if_due(step, soup, None)
+        if term.due(step):
+            term.refresh(step, soup, None)
     assert [event["event"] for event in term.log] == ["refresh", "audit", "refresh"]
     (warning,) = term.log[1]["warnings"]
     assert told == [f"step 22: {warning}"] and "no void" in warning and term.lambda_peak is None
     resumed = words_of((1, 0, 0), tell=told.append)
     resumed.load_state(term.state())
-    resumed.refresh_if_due(42, soup, None)
+    resumed.refresh(42, soup, None)
     assert len(told) == 1 and resumed.log[-1]["event"] == "refresh"
     with pytest.raises(InputError, match="at step 22 the images contradict the words: you said no"):
-        words_of((1, 0, 0), strict=True).refresh_if_due(22, soup, None)
-    words_of((1, 0, 1), strict=True).refresh_if_due(22, soup, None)
-    words_of((1, 1, 1), strict=True, tell=told.append).refresh_if_due(22, soup, None)
+        words_of((1, 0, 0), strict=True).refresh(22, soup, None)
+    words_of((1, 0, 1), strict=True).refresh(22, soup, None)
+    words_of((1, 1, 1), strict=True, tell=told.append).refresh(22, soup, None)
     assert told[-1].startswith("step 22: you said 1 loop; none so far")
 
 
@@ -247,7 +251,7 @@ def test_a_gradient_of_rounding_alone_sets_no_weight(kind):
         term = words_of((1, 0, 1))
     else:
         term = TopologyTerm(LossConfig(samples=512), build_bundle(cloud_of("sphere", 512), 3.4), 100, 0)
-    term.refresh_if_due(30, soup, None)
+    term.refresh(30, soup, None)
     assert term.value(30, soup, 1e9) is None and term.lambda_peak is None
     assert term.log[-1]["event"] == "no-op"
     assert "of the photometric one, below 1e-05" in term.log[-1]["reason"]

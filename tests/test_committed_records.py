@@ -12,7 +12,7 @@ from paper_artifact.config import RunConfig
 from paper_artifact.evaluate.scores import tail
 from paper_artifact.record.store import RUNS, config_of, read_record
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.topology.schedule import LEAST_RATIO
+from paper_artifact.topology.term import LEAST_RATIO
 
 RECORDS = sorted(RUNS.glob("*.json"))
 

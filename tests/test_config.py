@@ -34,6 +34,7 @@ from paper_artifact.record.store import config_hash
         ({"size": 21}, "at least 22 pixels"),
         ({"vertex_lr": 0.0}, "vertex_lr must be positive and at most 1, got 0.0"),
         ({"opacity_lr": 1e38}, r"opacity_lr must be positive and at most 100, got 1e\+38"),
+        ({"split_height": 1e-9}, "split_height must be at least 0.0001, got 1e-09"),
         ({"final_lr": 2.0}, "final_lr must be positive and at most 1"),
         ({"vertex_lr": "fast"}, "vertex_lr takes a value of kind float, got 'fast'"),
         ({"views": 1}, "views must be at least 2"),

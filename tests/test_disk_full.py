@@ -32,9 +32,7 @@ from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.adam import soup_optimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.state import load_soup, save_soup
-from paper_artifact.train.checkpoint import write_checkpoint
-from paper_artifact.train.state import TrainState
-from paper_artifact.train.term import NoTerm
+from paper_artifact.train.state import TrainState, write_checkpoint
 from tests.tiny_run import tiny_arguments, tiny_config
 
 
@@ -53,7 +51,7 @@ def checkpoint(folder):
     soup = initial_soup(np.random.default_rng(0).normal(size=(99, 3)).astype(np.float32), 30, 0)
     state = TrainState(10, soup, soup_optimiser(soup))
     backend = SimpleNamespace(to_host=lambda each: each)
-    write_checkpoint(folder / "run.pt", tiny_config(), state, NoTerm(), backend)
+    write_checkpoint(folder / "run.pt", tiny_config(), state, None, backend)
 
 
 def record(folder):

@@ -182,6 +182,8 @@ def test_soup_samples_follow_area_times_opacity():
         (vertices, opacity * 2),
         (vertices * np.nan, opacity),
         (vertices[0], opacity),
+        (vertices, opacity[:2]),
+        (vertices, -opacity),
     ):
         with pytest.raises(InputError, match="soup"):
             soup_samples(bad_vertices, bad_opacity, 10, stream(0, "test"))

@@ -18,7 +18,7 @@ from PIL import Image
 from paper_artifact.errors import InputError
 from paper_artifact.files import LARGEST, inside, load_npz, write_npz
 from paper_artifact.mesh import load_mesh
-from paper_artifact.record.packing import unpack
+from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.images import MOST_PIXELS
 from paper_artifact.scene.load import load_ground_truth, load_scene
@@ -212,7 +212,7 @@ def test_a_model_that_is_cut_off_asks_for_no_memory(tmp_path):
 
 
 def test_records_that_unpack_without_end_are_refused(monkeypatch):
-    monkeypatch.setattr("paper_artifact.record.packing.MOST", 20_000)
+    monkeypatch.setattr("paper_artifact.record.store.MOST", 20_000)
     nested = {"#same": {"#same": {"#same": 0, "#count": 10**4}, "#count": 10**4}, "#count": 10**4}
     for value in ({"#same": 0, "#count": 10**12}, nested):
         with pytest.raises(ValueError, match="without end"):

@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
-from paper_artifact.record.packing import pack, unpack
 from paper_artifact.record.store import (
     config_hash,
     config_of,
     find_records,
     make_record,
+    pack,
     read_record,
     record_path,
+    unpack,
     write_record,
 )
 

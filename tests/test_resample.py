@@ -11,10 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.raster import twin
-from paper_artifact.soup.resample import Resampler, all_visible, visible_pixels
-from paper_artifact.soup.split import split_long_edges
+from paper_artifact.soup.resample import Resampler, visible_pixels
+from paper_artifact.soup.split import least_pieces, split_long_edges
 from paper_artifact.soup.state import Soup, initial_mlp
 from tests.raster_cases import cameras, look_at
 from tests.raster_cases import soup as random_soup
@@ -239,30 +240,15 @@ def test_prune_weight_decides_the_order():
     assert torch.equal(kept.vertices, soup.vertices[:10])
 
 
-def test_split_weight_chooses_among_the_visible():
-    soup, world_to_clip = case(4, size=1.0), views()
-    asked = []
-
-    def none(corners, visible):
-        asked.append((corners.shape, visible))
-        return np.zeros_like(visible)
-
-    resampler = Resampler(60, split_views=3, split_weight=none)
-    assert resampler.resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[0] is soup
-    assert len(asked) == 3 and all(shape == (60, 3, 3) and visible.dtype == bool for shape, visible in asked)
-
-    def only_the_first_half(corners, visible):
-        return visible & (np.arange(len(visible)) < 30)
-
-    some, every = (
-        len(
-            replace(resampler, split_weight=weight).resample(soup, world_to_clip, HEIGHT, HEIGHT, 7, 10, 100)[
-                0
-            ]
-        )
-        for weight in (only_the_first_half, all_visible)
-    )
-    assert 60 < some < every
+def test_a_split_beyond_the_memory_is_refused_with_the_amount_before_it_is_tried(monkeypatch):
+    soup, world_to_clip, limit = case(4, size=1.0), views()[:1].astype(np.float64), 0.05
+    where = (np.ones(60, bool), world_to_clip[0], 1.0, limit)
+    corners, _ = split_long_edges(soup.vertices.detach().numpy(), np.arange(60), *where)
+    least = least_pieces(soup.vertices.detach().numpy(), *where)
+    assert 60 < least <= len(corners) < 20 * least
+    monkeypatch.setattr("paper_artifact.soup.resample.split_long_edges", None)  # calling it would fail
+    with pytest.raises(InputError, match=r"longer than 1e-06 .* at least .* GiB of memory, .* available"):
+        Resampler(60, split_height=1e-6).resample(soup, views(), HEIGHT, HEIGHT, 7, 10, 100)
 
 
 @pytest.mark.parametrize(
@@ -271,12 +257,6 @@ def test_split_weight_chooses_among_the_visible():
 def test_a_prune_weight_that_is_not_one_number_per_triangle_is_refused(weight):
     with pytest.raises(RuntimeError, match="prune_weight must give one number per triangle"):
         Resampler(20, prune_weight=weight).resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
-
-
-def test_a_split_weight_that_is_not_one_bool_per_triangle_is_refused():
-    resampler = Resampler(60, split_weight=lambda corners, visible: np.flatnonzero(visible))
-    with pytest.raises(RuntimeError, match="split_weight must give one bool"):
-        resampler.resample(case(), views(), HEIGHT, HEIGHT, 0, 10, 100)
 
 
 def test_sanity_check_stops_vertices_that_are_not_finite_and_parts_of_other_length():

@@ -22,9 +22,8 @@ from paper_artifact.record.store import find_records, record_path
 from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.study import studies
 from paper_artifact.study import sweep as sweep_module
-from paper_artifact.study.estimate import Estimate, Outcome, Step
 from paper_artifact.study.studies import STUDIES, study_configs
-from paper_artifact.study.sweep import missing, sweep
+from paper_artifact.study.sweep import Estimate, Outcome, Step, missing, sweep
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
 
 # --- the tables
@@ -262,6 +261,20 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
     assert outcome.failure is None
     (record,), expected = find_records(results / "runs"), find_records(swept[0] / "runs", seed=0)[0]
     assert record["resumed_at"] == marker.step and same_run(record, expected)
+
+
+def test_two_equal_sweeps_at_once_leave_one_record_of_each_run(swept, tmp_path):
+    results = results_with_scene(tmp_path / "results", copy_of=swept[0])
+    program = (
+        "from pathlib import Path\nfrom tests.sweep_runs import CONFIGS\n"
+        "from paper_artifact.study.sweep import sweep\n"
+        f"raise SystemExit(any(each.failure for each in sweep(list(CONFIGS), Path({str(results)!r}))))"
+    )
+    both = [subprocess.Popen([sys.executable, "-c", program], cwd=REPOSITORY) for _ in range(2)]
+    assert [process.wait() for process in both] == [0, 0]
+    records, expected = find_records(results / "runs"), find_records(swept[0] / "runs")
+    assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected, strict=True))
+    assert not list((results / "checkpoints").iterdir()) and len(list((results / "soups").iterdir())) == 2
 
 
 def test_a_damaged_record_is_never_overwritten(swept, tmp_path, monkeypatch):

@@ -25,8 +25,8 @@ from paper_artifact.files import REPOSITORY
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.render import render_views
 from paper_artifact.soup.resample import Resampler
+from paper_artifact.soup.state import render_views
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
 from paper_artifact.train.loop import batch_views, train
 from paper_artifact.train.state import TrainingError, TrainState, learning_rates
@@ -175,15 +175,18 @@ class FakeTerm:
         self.log: list[dict] = []
         self.total = 0.0
 
-    def refresh_if_due(self, step, vertices, opacity, resampled):
-        assert vertices.requires_grad and vertices.shape[1:] == (3, 3)
+    def due(self, step, resampled):
+        self.calls.append((step, bool(resampled)))
+        return True
+
+    def refresh(self, step, vertices, opacity):
+        assert vertices.requires_grad and vertices.shape[1:] == (3, 3) and step == self.calls[-1][0]
         assert (
             opacity.shape == vertices.shape[:2]
             and not opacity.requires_grad
             and 0 <= opacity.min() <= opacity.max() <= 1
         )
-        self.calls.append((step, bool(resampled), len(vertices)))
-        return False
+        self.calls[-1] += (len(vertices),)
 
     def value(self, step, vertices, photo_gradient_norm):
         assert step == self.calls[-1][0]
@@ -282,12 +285,12 @@ class BadTerm(FakeTerm):
         return torch.sqrt(0 * vertices.sum()) if self.gradient_only else vertices.sum() * torch.nan
 
 
-def diverging(monkeypatch, name: str, first: int) -> None:
+def diverging(monkeypatch, name: str, first: int, rate: float = 1e30) -> None:
     """Let the learning rate of `name` be beyond what a configuration may ask for, from step `first` on."""
     monkeypatch.setattr(
         "paper_artifact.train.loop.learning_rates",
         lambda config, radius, step: (
-            learning_rates(config, radius, step) | ({name: 1e30} if step >= first else {})
+            learning_rates(config, radius, step) | ({name: rate} if step >= first else {})
         ),
     )
 
@@ -308,6 +311,28 @@ def test_what_is_not_finite_stops_the_run_and_names_the_step(
     with pytest.raises(TrainingError, match=words):
         train(tiny_scene, tiny_config(), term=term, checkpoint=tmp_path / "run.pt", device="cpu")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [("opacity", "opacities are not finite after step 30"), ("features", "the loss of step 24 is nan")],
+)
+def test_the_last_checkpoint_before_a_value_that_is_not_finite_resumes(
+    name, words, tiny_scene, trained, tmp_path, monkeypatch
+):
+    checkpoint = tmp_path / "run.pt"
+    with monkeypatch.context() as patch:
+        diverging(patch, name, 23, rate=float("nan"))
+        with pytest.raises(TrainingError, match=words):
+            train(tiny_scene, tiny_config(), checkpoint=checkpoint, device="cpu")
+    resumed = train(tiny_scene, tiny_config(), evaluate=dump, checkpoint=checkpoint, device="cpu")
+    assert resumed.resumed_at == 20 and resumed.losses == trained.losses
+    assert all(torch.equal(a, b) for a, b in zip(parts(resumed.soup), parts(trained.soup), strict=True))
+
+
+def test_a_run_without_a_term_computes_nothing_for_one(tiny_scene, monkeypatch):
+    monkeypatch.setattr("paper_artifact.train.loop.add_term", None)  # calling it would fail
+    assert len(train(tiny_scene, tiny_config(steps=2), device="cpu").losses) == 2
 
 
 def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys, monkeypatch):

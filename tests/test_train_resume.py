@@ -18,9 +18,8 @@ from paper_artifact.randomness import stream
 from paper_artifact.record.store import find_records
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import backend_for
-from paper_artifact.train.checkpoint import SEAL, resumed_state
 from paper_artifact.train.loop import train
-from paper_artifact.train.term import NoTerm
+from paper_artifact.train.state import SEAL, resumed_state
 from tests.tiny_run import STEPS, parts, tiny_arguments, tiny_config
 
 # Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
@@ -125,8 +124,8 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
     train(tiny_scene, config, checkpoint=path, device="cpu")
     data = path.read_bytes()
     backend = backend_for("cpu", tiny_scene, tiny_scene.train)
-    assert resumed_state(path, config, NoTerm(), backend).step == 10
-    assert resumed_state(tmp_path / "none.pt", config, NoTerm(), backend) is None
+    assert resumed_state(path, config, None, backend).step == 10
+    assert resumed_state(tmp_path / "none.pt", config, None, backend) is None
 
     with pytest.raises(InputError, match="belongs to another configuration"):
         train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")
@@ -139,4 +138,4 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
     for place in [0, len(SEAL), *draws.integers(0, len(data), 60).tolist()]:
         path.write_bytes(data[:place] + bytes([data[place] ^ 1 << draws.integers(8)]) + data[place + 1 :])
         with pytest.raises(InputError, match="run.pt is damaged .*delete it to start the run anew"):
-            resumed_state(path, config, NoTerm(), backend)
+            resumed_state(path, config, None, backend)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.randomness import stream
-from paper_artifact.soup.vector_adam import VectorAdam
+from paper_artifact.soup.adam import VectorAdam
 
 
 def descend(kind, start: np.ndarray, gradients: np.ndarray, lr: float = 0.03) -> np.ndarray:

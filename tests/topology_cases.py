@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.pulls import Pulls, padded
+from paper_artifact.topology.plan import Pulls, padded
 
 
 def sphere(seed: int, count: int = 400) -> np.ndarray:

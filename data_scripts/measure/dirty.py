@@ -19,9 +19,9 @@ from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import Perturbation, SceneConfig, perturbed_cloud
 from paper_artifact.scene.shapes import find_mesh
-from paper_artifact.topology.aims import smoothed
-from paper_artifact.topology.clean import cleaned, trimmed
 from paper_artifact.topology.floor import measurement_floor
+from paper_artifact.topology.loss import smoothed
+from paper_artifact.topology.statement import cleaned, trimmed
 
 SHAPES = ("sphere", "torus", "two_spheres", "double_torus", "bob")  # they have no class but the stated ones
 SAMPLES = (2048, 8192)

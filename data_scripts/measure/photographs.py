@@ -24,7 +24,7 @@ from PIL import Image
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import GivenConfig
-from paper_artifact.evaluate.align import Similarity, similarity
+from paper_artifact.evaluate.geometry import Similarity, similarity
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import Target, evaluate_samples, make_target, soup_samples
 from paper_artifact.export.flat import render_flat
@@ -38,8 +38,7 @@ from paper_artifact.record.store import config_of, record_path
 from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.scene.subject import Subject, subject_of_scene
-from paper_artifact.soup.render import render_views
-from paper_artifact.soup.state import Soup, load_soup
+from paper_artifact.soup.state import Soup, load_soup, render_views
 
 FOLDER = REPOSITORY / "data_scripts" / "mug"
 MUG = load_mesh(FOLDER / "mug.ply")  # centimetres

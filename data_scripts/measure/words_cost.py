@@ -40,7 +40,7 @@ def timed(term: TopologyTerm, soup: Soup) -> dict[str, float]:
     for turn in range(TURNS + 1):
         step = STEPS_OF_THE_STUDY // 2 + BETWEEN * turn
         with Clock() as clock:
-            term.refresh_if_due(step, vertices, opacity)
+            term.refresh(step, vertices, opacity)
         refreshes.append(clock.cpu)
         for each in range(BETWEEN):
             with Clock() as clock:

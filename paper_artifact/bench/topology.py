@@ -19,8 +19,7 @@ from paper_artifact.randomness import stream
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.loss import TopologyLoss
-from paper_artifact.topology.samples import draw_samples, samples_stream
-from paper_artifact.topology.term import TopologyTerm
+from paper_artifact.topology.term import TopologyTerm, draw_samples, samples_stream
 
 
 def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[dict]:
@@ -43,7 +42,7 @@ def loss_rows(results: Path, repetitions: int = 15, steps: int = 300) -> list[di
     for repetition in range(repetitions + 1):
         term = TopologyTerm(config.loss, bundle, config.steps, seed=repetition)
         begin = time.process_time()
-        term.refresh_if_due(1, soup.vertices, opacity, True)
+        term.refresh(1, soup.vertices, opacity)
         times[refresh].append(time.process_time() - begin)
         term.value(1, soup.vertices, 1.0)  # sets the weight
         begin = time.process_time()

@@ -1,6 +1,6 @@
 """Betti numbers in words with other libraries' diagrams: CPU seconds until a cloud has what it was told.
 
-Everyone moves the same points by Adam under the loss of T2 (`paper_artifact.topology.betti`) in one
+Everyone moves the same points by Adam under the loss of T2 (`paper_artifact.topology.loss`) in one
 dimension: wanted deaths beyond their own by two median spacings, all other bars to the diagonal. With a
 library's diagrams the loss is made of tensors and every step computes them anew, ours too in the row
 "paper_artifact, diagrams"; `BettiLoss` makes a plan at every step too, and in the row "K = 10" at each
@@ -22,8 +22,8 @@ from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.bench.peers import OURS, PEERS, Diagrams, Peer, our_diagrams, version_text, why_missing
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import one_torch_thread
-from paper_artifact.topology.betti import BettiLoss
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, median_spacing
+from paper_artifact.topology.loss import BettiLoss
 
 PULL, EVERY = 2.0, 5  # median spacings; steps between two questions whether the words hold
 PATIENCE = 60.0  # CPU seconds after which a library is stopped

@@ -277,8 +277,7 @@ class Sweep(OwnSceneOptions):
 def sweep(options: Sweep) -> int:
     """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed."""
     from paper_artifact.scene.given import is_own
-    from paper_artifact.study.estimate import run_name
-    from paper_artifact.study.sweep import missing
+    from paper_artifact.study.sweep import missing, run_name
     from paper_artifact.study.sweep import sweep as run_sweep
 
     if (options.executor == "dask") != bool(options.scheduler):

@@ -10,8 +10,7 @@ from scipy.ndimage import correlate1d
 
 from paper_artifact.errors import InputError
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.render import render_views
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, render_views
 from paper_artifact.ssim import RADIUS, WINDOW, gaussian_window, similarity
 
 LOWEST_MSE = 1e-10  # PSNR at most 100 dB, so that a record never holds an infinity

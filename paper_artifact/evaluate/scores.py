@@ -21,7 +21,7 @@ from paper_artifact.evaluate.geometry import point_distances
 from paper_artifact.files import RESULTS, load_npz, write_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
-from paper_artifact.sampling import sample_surface
+from paper_artifact.sampling import sample_soup, sample_surface
 from paper_artifact.topology.floor import measurement_floor
 
 SAMPLES = 20_000
@@ -96,24 +96,8 @@ def discriminating_dimension(betti: Sequence[int] | None, counts: Sequence[int])
 def soup_samples(
     vertices: np.ndarray, opacity: np.ndarray, count: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Return `count` samples (count,3) float64 of a soup, drawn with density proportional to area × α.
-
-    α is the mean of a triangle's corner opacities; vertices (T,3,3) float, world units; opacity (T,3) float
-    in [0,1] (after the sigmoid). Paper §3.2. Raises InputError for wrong shapes, values outside [0,1] or not
-    finite, or a soup without area × α.
-    """
-    vertices, opacity = np.asarray(vertices, dtype=np.float64), np.asarray(opacity, dtype=np.float64)
-    if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
-        raise InputError(
-            f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {opacity.shape}"
-        )
-    if not np.isfinite(vertices).all() or not ((opacity >= 0) & (opacity <= 1)).all():
-        raise InputError(
-            "the soup holds coordinates that are not finite or opacities outside [0, 1]; "
-            "its training has diverged"
-        )
-    faces = np.arange(3 * len(vertices)).reshape(-1, 3)
-    return sample_surface(vertices.reshape(-1, 3), faces, count, generator, weights=opacity.mean(axis=1))[0]
+    """Return the points (count,3) float64 of `sampling.sample_soup`; arguments and errors are the same."""
+    return sample_soup(vertices, opacity, count, generator)[0]
 
 
 def evaluate_samples(samples: np.ndarray, target: Target) -> dict:

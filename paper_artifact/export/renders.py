@@ -16,8 +16,7 @@ from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh
 from paper_artifact.scene.cameras import FAR, NEAR, fibonacci_cameras, world_to_clip
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.render import render_views
-from paper_artifact.soup.state import Soup, reframed
+from paper_artifact.soup.state import Soup, reframed, render_views
 
 
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:

@@ -1,30 +1,33 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
 Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with
-long screen-space edges are split (DiffSoup's resampling). Three hooks let an allocation prior enter without
-touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning, `split_weight`
-chooses among the visible triangles to split, `respawn` names triangles to halve at an unchanged final count.
+long screen-space edges are split (DiffSoup's resampling). Two hooks let an allocation prior (paper App. A)
+enter without touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning,
+`respawn` names triangles to halve at an unchanged final count. Strict budget parity: a resampling ends with
+exactly as many triangles as DiffSoup's own rule would leave of the same pruned soup.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from paper_artifact.config import RunConfig
+from paper_artifact.config import AllocationConfig, RunConfig
+from paper_artifact.errors import InputError, require_memory
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import run_jobs
 from paper_artifact.raster.view import ViewRaster, to_clip
-from paper_artifact.soup.split import bisected, split_long_edges
+from paper_artifact.soup.split import bisected, least_pieces, split_long_edges
 from paper_artifact.soup.state import Soup
 
+BYTES_PER_PIECE = (
+    600  # of a triangle that splitting makes: 33 floats, their gradients and moments, two copies
+)
 # (corners (T,3,3), visible pixels (T,)) → priority (T,): the lowest goes first
 PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
-# (corners (T,3,3), visible (T,) bool) → split (T,) bool
-SplitWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 # (corners (T,3,3), visible (T,) bool) → indices (k,) of the triangles to halve
 RespawnChoice = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -32,11 +35,6 @@ RespawnChoice = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return DiffSoup's order of pruning: the visible-pixel counts themselves."""
     return counts
-
-
-def all_visible(corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Return DiffSoup's choice for splitting: every triangle visible in the view."""
-    return visible
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,6 @@ class Resampler:
     split_views: int = 20  # views in which long edges are looked for
     split_height: float = 0.2  # fraction of the image height above which an edge is long
     prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
-    split_weight: SplitWeight = all_visible  # hook: which triangles may be split
     respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
 
     def due(self, step: int, steps: int) -> bool:
@@ -82,9 +79,8 @@ class Resampler:
         if step < self.split_until * steps:
             views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
             split = self._split(soup, world_to_clip[views], *half)
-            if (
-                self.respawn is not None
-            ):  # the plain rule's count is the cap: halves displace the least worthy
+            # the plain rule's count is the cap: halves displace the least worthy
+            if self.respawn is not None:
                 counts = visible_pixels(soup, world_to_clip, *half).sum(0)
                 halved = self._respawned(soup, self.respawn(_corners(soup), counts > 0))
                 more = self._split(halved, world_to_clip[views], *half)
@@ -116,19 +112,15 @@ class Resampler:
     def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
         visible = visible_pixels(soup, world_to_clip, height, width) > 0
         corners = _corners(soup)
-        chosen = [np.asarray(self.split_weight(corners, seen)) for seen in visible]
-        if any(wanted.shape != (len(corners),) or wanted.dtype != bool for wanted in chosen):
-            raise RuntimeError(f"split_weight must give one bool per triangle, ({len(corners)},)")
         origins = np.arange(len(corners))
-        for matrix, wanted in zip(world_to_clip, chosen, strict=True):
-            corners, origins = split_long_edges(
-                corners,
-                origins,
-                wanted[origins],
-                np.asarray(matrix, np.float64),
-                width / height,
-                2 * self.split_height,
+        for matrix, wanted in zip(world_to_clip.astype(np.float64), visible, strict=True):
+            where = (wanted[origins], matrix, width / height, 2 * self.split_height)
+            require_memory(
+                BYTES_PER_PIECE * least_pieces(corners, *where),
+                f"splitting all edges longer than {self.split_height:g} of the image height",
+                "give a larger split_height",
             )
+            corners, origins = split_long_edges(corners, origins, *where)
         if len(corners) == len(soup):
             return soup
         return soup.select(torch.from_numpy(origins), torch.from_numpy(corners))
@@ -165,3 +157,50 @@ def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: in
         return view.visible_pixels(len(soup))
 
     return np.stack(run_jobs(job, len(world_to_clip)))
+
+
+Importance = Callable[[np.ndarray], np.ndarray]  # points (n,3), world → importance (n,) in [0, 1]
+QUANTILE = 0.9  # of the visible-pixel counts: what importance 1 is worth, times λ
+
+
+def protective_order(importance: Importance, protection: float) -> PruneWeight:
+    """Return the prune order vis + λ · Q.9(vis) · importance at the triangles' centroids; protection: λ ≥
+    0."""
+
+    def order(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        worth = protection * np.quantile(counts, QUANTILE)
+        return counts + worth * importance(corners.mean(axis=1))
+
+    return order
+
+
+def most_important(importance: Importance, count: int) -> RespawnChoice:
+    """Return the choice of the `count` visible triangles of the highest importance at their centroids, ties
+    by index."""
+
+    def choice(corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
+        rows = np.flatnonzero(visible)
+        values = importance(corners[rows].mean(axis=1))
+        return np.sort(rows[np.argsort(-values, kind="stable")[:count]])
+
+    return choice
+
+
+def allocating_resampler(
+    config: RunConfig, allocation: AllocationConfig, importance: Importance
+) -> Resampler:
+    """Return the run's resampler with both levers of its allocation.
+
+    Raises InputError when the share that is subdivided is less than one triangle of the budget.
+    """
+    count = round(allocation.subdivided * config.budget)
+    if allocation.subdivided > 0 and count < 1:
+        raise InputError(
+            f"the budget of {config.budget} triangles is smaller than the protected share "
+            f"{allocation.subdivided} asks for; raise the budget or set subdivided to 0"
+        )
+    return replace(
+        plain_resampler(config),
+        prune_weight=protective_order(importance, allocation.protection),
+        respawn=most_important(importance, count) if count else None,
+    )

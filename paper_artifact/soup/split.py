@@ -87,6 +87,19 @@ def split_long_edges(corners, origins, wanted, matrix, aspect, limit):
     return out[:count].copy(), source[:count].copy()
 
 
+def least_pieces(
+    corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: float, limit: float
+) -> float:
+    """Return a lower bound of the number of triangles that `split_long_edges` makes, arguments as there: a
+    triangle whose edges are at most `limit` long has at most √3/4 limit² of screen area."""
+    points = corners[wanted].astype(np.float64)
+    clip = points @ matrix[:, :3].T + matrix[:, 3]
+    clip = clip[((clip[..., 3] > 0) & (np.abs(clip[..., :3]).max(axis=2) <= clip[..., 3])).all(axis=1)]
+    screen = clip[..., :2] / clip[..., 3:] * [aspect, 1.0]
+    (ax, ay), (bx, by) = (screen[:, 1] - screen[:, 0]).T, (screen[:, 2] - screen[:, 0]).T
+    return float(np.abs(ax * by - ay * bx).sum() / 2 / (3**0.5 / 4 * limit**2))
+
+
 def bisected(corners: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (T+k,3,3) with the k `chosen` (indices) halved at their longest edge, and their
     origins (T+k,).

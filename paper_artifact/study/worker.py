@@ -11,10 +11,13 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+from paper_artifact.record.store import read_record
 
 SIGN = "step "  # begins a line on the run's stderr that says how far it is; all others are its complaints
 EVERY = 5.0  # seconds between two such lines
@@ -117,3 +120,18 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+def remote_run(values: dict, device: str) -> tuple[dict, float]:
+    """Run the configuration (a dict) on this worker; return its record and the seconds of wall time that it
+    took here.
+
+    The run's process ends with the worker. Raises RuntimeError with the run's own last line when it fails.
+    """
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        failure = failure_of(start_run(values, folder, device))
+        if failure:
+            raise RuntimeError(failure)
+        (path,) = (Path(folder) / "runs").glob("*.json")
+        return read_record(path), time.perf_counter() - begin

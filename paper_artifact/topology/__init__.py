@@ -1,7 +1,7 @@
 """The topology loss on top of `paper_artifact.alpha`, usable without scene or trainer.
 
-Rooms: floor and bundle (the target), statement and betti (Betti numbers in its place), density (which M for
-them, and how a dirty cloud is cleaned), matching and plan (one refresh), loss (raw points), term (a run).
+Modules: floor and bundle (the target), statement (stated Betti numbers in its place: frame, density, audit),
+matching and plan (one refresh), loss (raw points), term (a run), importance (the allocation study's field).
 
     from paper_artifact.topology import TopologyLoss, build_bundle
 
@@ -10,12 +10,12 @@ them, and how a dirty cloud is cleaned), matching and plan (one refresh), loss (
     BettiLoss((1, 2, 1))(points).backward()  # no target: one component, two loops, one void
 """
 
-from paper_artifact.topology.betti import BettiLoss as BettiLoss
 from paper_artifact.topology.bundle import Bundle as Bundle
 from paper_artifact.topology.bundle import build_bundle as build_bundle
 from paper_artifact.topology.bundle import build_from_mesh as build_from_mesh
 from paper_artifact.topology.bundle import load_bundle as load_bundle
-from paper_artifact.topology.clean import cleaned as cleaned
+from paper_artifact.topology.loss import BettiLoss as BettiLoss
 from paper_artifact.topology.loss import TopologyLoss as TopologyLoss
 from paper_artifact.topology.plan import Plan as Plan
 from paper_artifact.topology.plan import build_plan as build_plan
+from paper_artifact.topology.statement import cleaned as cleaned

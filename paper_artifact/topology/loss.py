@@ -1,43 +1,77 @@
-"""The topology loss for a point tensor, usable alone.
+"""The topology losses for a point tensor, usable alone: towards a bundle, or towards stated Betti numbers.
 
-    bundle = build_bundle(target_points, diagonal)
-    loss = TopologyLoss(bundle)
+    loss = TopologyLoss(build_bundle(target_points, diagonal))
+    loss = BettiLoss((1, 2, 1))        # no target: one component, two loops, one void
     loss(points).backward()            # points (M,3), requires_grad; the plan is refreshed every 10 calls
 
 Paper §3: L_topo of births and deaths (radius / diagonal, dimensionless) under a plan that is frozen between
 refreshes.
+
+`BettiLoss` is not the paper's. At each refresh the bars of each dimension are ranked by lifetime; r is the
+live cloud's median spacing, the floor is 6 r, and k = b0 - 1, b1, b2 bars are wanted. W are those of the
+first k that exceed guard · floor, R those beyond k that exceed the floor (with suppress "all", in H1 and H2:
+all beyond k). With d_ref the death at the refresh,
+
+    L = Σ_W (d - (d_ref + pull · r))² + Σ_R ((d - b) / 2)²,
+
+a practically linear pull of the wanted deaths, and the paper's diagonal term for the rest. Births of wanted
+bars are free: sampling sets them. Alternative targets of the wanted bars are ablations (`LossConfig.aim`):
+"smoothed" (S16): at least the death of the bar of the same rank in the cloud whose points are means of 16
+neighbours; "births": deaths are free, and births go to what a clean sample of the same spacing has; "none":
+wanted bars are not pulled at all.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.cloud import Frame, check_cloud, noisy
-from paper_artifact.topology.plan import Plan, build_plan
+from paper_artifact.topology.floor import (
+    MULTIPLIER,
+    Frame,
+    check_cloud,
+    measurement_floor,
+    median_spacing,
+    noisy,
+)
+from paper_artifact.topology.plan import (
+    BIRTHS,
+    DEATHS,
+    DIAGONAL,
+    MATCHED,
+    NONE,
+    Claims,
+    Plan,
+    build_plan,
+    make_plan,
+)
+from paper_artifact.topology.statement import NAMES, SURPLUS, Statement
+
+KEPT = 2  # lifetimes beyond the wanted ones that a report of `BettiLoss` keeps
+NEIGHBOURS = 16  # of the smoothed cloud
+PERCOLATION = 1.128  # mean number of discs of a point at which discs on a plane connect
 
 
 class PlannedLoss(ABC):
     """A loss of M points whose plan is refreshed every few calls; what it aims at is a subclass's.
 
     defaults, settings: its LossConfig and what is changed in it; seed: of the noise that only the plan sees.
-    Raises InputError for an unknown setting, one out of range, or the fallback "denser", which needs a
-    surface.
+    Raises InputError for an unknown setting or one out of range.
     """
 
     def __init__(self, defaults: LossConfig, settings: Mapping[str, Any], seed: int) -> None:
         self.config, self.seed = with_changes(defaults, settings), seed
-        if self.config.fallback == "denser":
-            raise InputError(
-                "the fallback 'denser' samples a surface again, and raw points have none; choose another"
-            )
         self.plan: Plan | None = None
         self._calls = self._refreshes = 0
 
@@ -93,7 +127,7 @@ class TopologyLoss(PlannedLoss):
 
     seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for
     example refresh_every=0 (only `refresh` makes a plan) or noise=.005. Raises InputError for an unknown
-    setting, one out of range, or the fallback "denser", which needs a surface.
+    setting or one out of range.
     """
 
     def __init__(self, bundle: Bundle, *, seed: int = 0, **settings: Any) -> None:
@@ -107,3 +141,130 @@ class TopologyLoss(PlannedLoss):
     def make(self, cloud: np.ndarray) -> Plan:
         """Return the plan of `cloud` (M,3), divided by the bundle's diagonal."""
         return build_plan(cloud, self.bundle, self.config)
+
+
+class BettiLoss(PlannedLoss):
+    """Loss of M points that are to have the Betti numbers `betti`.
+
+    diagonal: the unit of the loss, world units; None takes the bounding box of the first points it sees.
+    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for
+    example guard=0, suppress="all" (condition T2), refresh_every=0 (only `refresh` makes a plan). Raises
+    InputError for other than three whole numbers b0 >= 1, b1 >= 0, b2 >= 0, and as `TopologyLoss` does.
+    """
+
+    def __init__(
+        self, betti: tuple[int, ...], *, diagonal: float | None = None, seed: int = 0, **settings: Any
+    ) -> None:
+        super().__init__(LossConfig("betti"), {"betti": betti, **settings}, seed)
+        self.betti = self.config.betti or ()
+        self.statement = None if diagonal is None else Statement(self.betti, diagonal)
+
+    def frame(self, points: np.ndarray) -> Statement:
+        """Return the statement, in the unit of the first points (M,3)."""
+        if self.statement is None:
+            extent = np.ptp(points, axis=0) if points.ndim == 2 and len(points) else np.zeros(3)
+            diagonal = float(np.linalg.norm(extent))
+            if not np.isfinite(diagonal) or diagonal <= 0:  # the cloud's own check says what is wrong
+                return Statement(self.betti, 1.0)
+            self.statement = Statement(self.betti, diagonal)
+        return self.statement
+
+    def make(self, cloud: np.ndarray) -> Plan:
+        """Return the plan of `cloud` (M,3), divided by the diagonal."""
+        assert self.statement is not None
+        return build_betti_plan(cloud, self.statement, self.config)
+
+
+def build_betti_plan(cloud: np.ndarray, statement: Statement, config: LossConfig) -> Plan:
+    """Return the plan of a live `cloud` (M,3) float64, divided by the statement's diagonal.
+
+    config: its guard, suppress and pull; dimensions None acts in all three. Raises InputError when more
+    classes are wanted than there are bars, and what `alpha_persistence` raises for its points.
+    """
+    floor = measurement_floor(cloud, 1.0)
+
+    def claim(dimension: int, bars: np.ndarray) -> Claims:
+        claims = _ranked(bars, dimension, statement.wanted[dimension], floor, config)
+        return claims if config.aim == "deaths" else _aimed_otherwise(claims, bars, dimension, cloud, config)
+
+    return make_plan(cloud, config.dimensions or (0, 1, 2), claim, floor, floor, config)
+
+
+def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config: LossConfig) -> Claims:
+    """Return what pulls the live `bars` (k,2) of one dimension: W, then R."""
+    if wanted > len(bars):
+        raise InputError(
+            f"betti asks for {wanted} finite bars of dimension {dimension} ({NAMES[dimension][1]}), but the "
+            f"points have {len(bars)} in all; give a smaller number or more points"
+        )
+    lifetimes = bars[:, 1] - bars[:, 0]
+    order = np.argsort(-lifetimes, kind="stable")
+    first, others = order[:wanted], order[wanted:]
+    chosen = first[lifetimes[first] > config.guard * floor]
+    if config.suppress == "none":
+        others = others[:0]
+    elif config.suppress == "floor" or dimension == 0:
+        others = others[lifetimes[others] > floor]
+    margins = lifetimes[order[: wanted + KEPT]] / floor
+    return Claims(
+        rows=np.concatenate([chosen, others]),
+        targets=np.concatenate([np.arange(len(chosen)), np.full(len(others), NONE)]),
+        kinds=np.repeat([MATCHED, DIAGONAL], [len(chosen), len(others)]),
+        aims=bars[chosen] + [0.0, config.pull * floor / MULTIPLIER],
+        free=BIRTHS,
+        report={
+            "wanted": wanted,
+            "unreached": wanted - len(chosen),
+            "surplus": int((lifetimes[order[wanted:]] > SURPLUS * floor).sum()),
+            "margins": margins.tolist(),  # lifetimes / floor: the wanted bars' and the next KEPT
+        },
+    )
+
+
+def smoothed(cloud: np.ndarray) -> np.ndarray:
+    """Return `cloud` (M,3) with each point moved to the mean of its nearest 16 points, itself among them,
+    without repetitions."""
+    _, nearest = cKDTree(cloud).query(cloud, k=min(NEIGHBOURS, len(cloud)))
+    return np.unique(cloud[nearest].mean(axis=1), axis=0)  # two points may share all neighbours
+
+
+def _clean_birth(dimension: int, samples: int, spacing: float) -> float:
+    """Return the radius at which a uniform sample of a surface bears its classes, in the unit of `spacing`.
+
+    spacing: the median distance r to the nearest neighbour of M = `samples` points. Points bear components at
+    0; discs percolate (loops) at radius r sqrt(1.128 / ln 2) and cover (voids) at r sqrt(a / ln 2),
+    a = ln M + ln(1 + a).
+    """
+    covering = math.log(samples)
+    for _ in range(50):  # a contraction: its derivative is 1 / (1 + a)
+        covering = math.log(samples) + math.log(1 + covering)
+    return spacing * math.sqrt((0.0, PERCOLATION, covering)[dimension] / math.log(2))
+
+
+def _aimed_otherwise(
+    claims: Claims, bars: np.ndarray, dimension: int, cloud: np.ndarray, config: LossConfig
+) -> Claims:
+    """Return `claims` on the `bars` (k,2) of one dimension with the aims of `config.aim`.
+
+    cloud (M,3): whose bars they are; all divided by the diagonal.
+    """
+    wanted = claims.kinds != DIAGONAL
+    if config.aim == "none":
+        return replace(
+            claims,
+            rows=claims.rows[~wanted],
+            targets=claims.targets[~wanted],
+            kinds=claims.kinds[~wanted],
+            aims=np.zeros((0, 2)),
+        )
+    if not wanted.any():
+        return claims
+    aims = claims.aims.copy()
+    if config.aim == "births":
+        aims[:, BIRTHS] = _clean_birth(dimension, len(cloud), median_spacing(cloud))
+        return replace(claims, aims=aims, free=DEATHS)
+    pairs = alpha_persistence(smoothed(cloud), config.method, as_given=True)[dimension]
+    order = np.argsort(pairs.births - pairs.deaths, kind="stable")[: len(aims)]
+    aims[:, DEATHS] = bars[claims.rows[wanted], DEATHS]
+    aims[: len(order), DEATHS] = np.maximum(aims[: len(order), DEATHS], pairs.deaths[order])
+    return replace(claims, aims=aims)

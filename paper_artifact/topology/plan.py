@@ -1,7 +1,9 @@
 """The plan: the frozen combinatorics of one refresh, and the loss it stands for.
 
-`build_plan` aims at a bundle's bars; `betti.build_betti_plan` makes its plan from the same parts. Everything
-is divided by the diagonal of bundle or statement (births, deaths, targets, floor: radius / diagonal).
+`build_plan` aims at a bundle's bars; `loss.build_betti_plan` makes its plan from the same parts. Everything
+is divided by the diagonal of bundle or statement (births, deaths, targets, floor: radius / diagonal). A pull
+is one bar of the live cloud with its birth and death simplex and what pulls it: a target bar (matched or
+recruited) or the diagonal.
 
 Which live bars are significant: lifetime > floor. The default floor is the BUNDLE's, 6 r_med(M) of the target
 at the same M ("locked for all live evaluations", paper §3.1), so the objective is one function during a run
@@ -11,33 +13,154 @@ own 6 r_med instead; both are reported at every refresh.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from paper_artifact.alpha.diagrams import FirstDerivative
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
-from paper_artifact.alpha.radii import coface_of_value, passes_gate
+from paper_artifact.alpha.radii import passes_gate, radius_and_gradient
 from paper_artifact.config import LossConfig
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.curvature import pair_weights
 from paper_artifact.topology.floor import measurement_floor, significant
 from paper_artifact.topology.matching import match_bars, recruit
-from paper_artifact.topology.pulls import (
-    DIAGONAL,
-    KINDS,
-    MATCHED,
-    NONE,
-    RECRUITED,
-    LossArrays,
-    Pulls,
-    compiled,
-    join_pulls,
-    loss_value,
-    padded,
-)
+
+KINDS = ("matched", "recruited", "diagonal")
+MATCHED, RECRUITED, DIAGONAL = range(3)
+CORNERS = 4  # of a tetrahedron: the most that a simplex has
+NONE = -1  # no sample, no target
+BIRTHS, DEATHS = 0, 1  # columns of a bar
+NEIGHBOURS = 16  # samples that make a sample's curvature
+CLIP = (0.25, 4.0)  # least and largest curvature weight
+
+
+@dataclass(frozen=True, eq=False)
+class Pulls:
+    """n bars and what pulls each, as arrays."""
+
+    dimension: np.ndarray  # (n,) int64
+    kind: np.ndarray  # (n,) int64: MATCHED, RECRUITED, DIAGONAL
+    values: np.ndarray  # (n,2) float64: birth and death in the cloud the plan saw
+    simplices: np.ndarray  # (n,2,4) int64: samples of the birth and the death simplex, then NONE
+    target: np.ndarray  # (n,2) float64: birth and death of the target bar; 0 for the diagonal, which has none
+    sound: np.ndarray  # (n,) bool: passed the Gabriel gate; else value only, no gradient
+    weight: np.ndarray  # (n,) float64: of the bar's term in the loss
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+def padded(simplices: np.ndarray) -> np.ndarray:
+    """Return simplices (n,k) as (n,4) int64, NONE behind the corners."""
+    wide = np.full((len(simplices), CORNERS), NONE, dtype=np.int64)
+    wide[:, : simplices.shape[1]] = simplices
+    return wide
+
+
+def join_pulls(parts: Sequence[Pulls]) -> Pulls:
+    """Return the pulls of all parts, in order."""
+    shapes = {"values": (0, 2), "target": (0, 2), "simplices": (0, 2, CORNERS)}
+    kinds = {"dimension": np.int64, "kind": np.int64, "simplices": np.int64, "sound": bool}
+    joined = {}
+    for name in (each.name for each in fields(Pulls)):
+        empty = np.zeros(shapes.get(name, (0,)), dtype=kinds.get(name, np.float64))
+        joined[name] = np.concatenate([empty, *(getattr(part, name) for part in parts)])
+    return Pulls(**joined)
+
+
+@dataclass(frozen=True, eq=False)
+class LossArrays:
+    """A plan's pulls for the loss: simplices grouped by their number of corners, into the used samples."""
+
+    # (rows (r,), corners (r,k)): rows into the 2n coordinates (births, then deaths), corners into used
+    # samples
+    groups: tuple[tuple[np.ndarray, np.ndarray], ...]
+    scatter: np.ndarray  # the groups' corners one after the other: where gradients are summed
+    frozen: np.ndarray  # (2n,) coordinates at the refresh
+    sound: np.ndarray  # (2n,) bool
+    target: np.ndarray  # (2,n)
+    diagonal: np.ndarray  # (n,) bool
+    weight: np.ndarray  # (n,)
+
+    def radii(self, positions: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the coordinates (2n,) and, per group, the gradients (r,k,3) of its rows."""
+        radii, gradients = self.frozen.copy(), []
+        for rows, corners in self.groups:
+            radius, gradient = radius_and_gradient(positions[corners])
+            live = self.sound[rows] & np.isfinite(radius)
+            radii[rows] = np.where(live, radius, self.frozen[rows])
+            gradients.append(gradient * live[:, None, None])
+        return radii, gradients
+
+    def value_and_gradient(self, positions: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return L_topo and its gradient (u,3) at `positions` (u,3) of the used samples."""
+        radii, gradients = self.radii(positions)
+        live = radii.reshape(2, -1)
+        half_lifetime = (live[1] - live[0]) / 2
+        residual = live - self.target
+        value = np.where(self.diagonal, half_lifetime**2, (residual**2).sum(axis=0))
+        slope = np.where(self.diagonal, half_lifetime * _AWAY, 2 * residual) * self.weight
+        slope = slope.ravel()
+        parts = [
+            (slope[rows, None, None] * gradient).reshape(-1, 3)
+            for (rows, _), gradient in zip(self.groups, gradients, strict=True)
+        ]
+        total = np.zeros_like(positions)
+        if parts:
+            pulls = np.concatenate(parts)
+            for axis in range(3):  # bincount adds in the order of the rows: the same bits at every call
+                total[:, axis] = np.bincount(self.scatter, pulls[:, axis], len(positions))
+        return float((self.weight * value).sum()), total
+
+
+# d/db and d/dd of ((d - b)/2)² are -(d - b)/2 and +(d - b)/2.
+_AWAY = np.array([[-1.0], [1.0]])
+
+
+def loss_value(positions: Tensor, arrays: LossArrays) -> Tensor:
+    """Return L_topo (scalar float64) at `positions` (u,3) float64 of the used samples; differentiable
+    once.
+    """
+    return _Value.apply(positions, arrays)
+
+
+class _Value(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, positions: Tensor, arrays: LossArrays) -> Tensor:
+        value, gradient = arrays.value_and_gradient(positions.detach().numpy())
+        ctx.save_for_backward(positions, torch.from_numpy(gradient))
+        return torch.tensor(value, dtype=torch.float64)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        positions, gradient = ctx.saved_tensors
+        return FirstDerivative.apply(upstream * gradient, positions), None
+
+
+def compiled(pulls: Pulls) -> tuple[np.ndarray, LossArrays]:
+    """Return the used samples (u,) int64 and the pulls as the loss takes them."""
+    simplices = pulls.simplices.transpose(1, 0, 2).reshape(-1, CORNERS)
+    used = np.unique(simplices[simplices != NONE])
+    sizes = (simplices != NONE).sum(axis=1)
+    groups = []
+    for size in (2, 3, 4):  # a vertex (birth in dimension 0) has the constant radius 0
+        rows = np.flatnonzero(sizes == size)
+        if len(rows):
+            groups.append((rows, np.searchsorted(used, simplices[rows, :size])))
+    return used, LossArrays(
+        groups=tuple(groups),
+        scatter=np.concatenate([corners.ravel() for _, corners in groups] or [np.zeros(0, dtype=np.int64)]),
+        frozen=pulls.values.T.ravel(),
+        sound=np.tile(pulls.sound, 2),
+        target=np.ascontiguousarray(pulls.target.T),
+        diagonal=pulls.kind == DIAGONAL,
+        weight=pulls.weight,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +170,6 @@ class Plan:
     pulls: Pulls
     samples: int  # M of the cloud
     report: dict  # JSON-able: counts and bars per dimension
-    failing: tuple[tuple[int, ...], ...] = ()  # simplices that failed the gate
     used: Tensor = field(init=False)  # (u,) int64: the samples any pull touches
     _arrays: LossArrays = field(init=False)
 
@@ -73,9 +195,6 @@ class Plan:
         Differentiable once, in closed form. An empty plan gives an exact 0 with a zero gradient.
         """
         return loss_value(positions, self._arrays)
-
-
-BIRTHS, DEATHS = 0, 1  # columns of a bar
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,23 +245,23 @@ def make_plan(
     floor: lifetimes above it are significant, / D; live_floor: the cloud's own, for the report.
     """
     pairs = alpha_persistence(cloud, config.method, as_given=True)
-    parts, failing, reports = [], [], {}
+    parts, reports = [], {}
     for dimension in dimensions:
-        part, failed, report = _plan_dimension(cloud, pairs[dimension], claim, floor, dimension, config)
+        part, reports[str(dimension)] = _plan_dimension(
+            cloud, pairs[dimension], claim, floor, dimension, config
+        )
         parts.append(part)
-        failing += failed
-        reports[str(dimension)] = report
     pulls = join_pulls(parts)
     if config.curvature_weighted and len(pulls):
         pulls = replace(pulls, weight=pair_weights(cloud, pulls.simplices.reshape(len(pulls), -1)))
     report = {"floor": floor, "live_floor": live_floor, "samples": len(cloud), "dimensions": reports}
-    return Plan(pulls, len(cloud), report, tuple(failing))
+    return Plan(pulls, len(cloud), report)
 
 
 def _plan_dimension(
     cloud: np.ndarray, pairs: Pairs, claim: Claim, floor: float, dimension: int, config: LossConfig
-) -> tuple[Pulls, list[tuple[int, ...]], dict]:
-    """Return (pulls, simplices that fail the gate, report) of one dimension."""
+) -> tuple[Pulls, dict]:
+    """Return (pulls, report) of one dimension."""
     dropped = 0
     if config.fallback == "drop":
         keep = np.asarray(_passes(cloud, pairs).all(axis=1))
@@ -152,10 +271,7 @@ def _plan_dimension(
     pulled = _chosen(pairs, claims.rows)
     passes = _passes(cloud, pulled)
     simplices = np.stack([padded(pulled.birth_simplices), padded(pulled.death_simplices)], axis=1)
-    failing = [tuple(each[each != NONE].tolist()) for each in simplices[~passes]]
     failures = int((~passes.all(axis=1)).sum()) + dropped
-    if config.fallback == "subgradient" and failing:
-        simplices, passes = _with_cofaces(cloud, simplices, pulled.diagram, passes)
     aimed = claims.kinds != DIAGONAL
     target = np.zeros((len(claims.rows), 2))
     target[aimed] = claims.aims[claims.targets[aimed]]
@@ -171,7 +287,7 @@ def _plan_dimension(
         sound=np.asarray(passes.all(axis=1)),
         weight=np.ones(len(claims.rows)),
     )
-    return pulls, failing, _report(claims, pairs.diagram, floor, failures)
+    return pulls, _report(claims, pairs.diagram, floor, failures)
 
 
 def _claims(bars: np.ndarray, target: np.ndarray, floor: float, recruitment: bool) -> Claims:
@@ -213,22 +329,6 @@ def _passes(cloud: np.ndarray, pairs: Pairs) -> np.ndarray:
     return np.column_stack([births, passes_gate(cloud, pairs.death_simplices, pairs.deaths)])
 
 
-def _with_cofaces(
-    cloud: np.ndarray, simplices: np.ndarray, values: np.ndarray, passes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (simplices (n,2,4), passes (n,2)): a failing simplex replaced by the coface that sets its
-    value.
-    """
-    simplices, passes = simplices.copy(), passes.copy()
-    for row, side in np.argwhere(~passes):  # rare: failures mean rounding or degenerate input
-        simplex = simplices[row, side]
-        coface = coface_of_value(cloud, simplex[simplex != NONE], float(values[row, side]))
-        if coface is not None:
-            simplices[row, side] = padded(coface[None])[0]
-            passes[row, side] = True
-    return simplices, passes
-
-
 def _report(claims: Claims, bars: np.ndarray, floor: float, failures: int) -> dict:
     """Return the JSON-able report of one dimension: counts, and of each target bar what claims it."""
     owned, target = claims.targets != NONE, claims.aims
@@ -253,3 +353,33 @@ def _report(claims: Claims, bars: np.ndarray, floor: float, failures: int) -> di
         ],
         **claims.report,
     }
+
+
+def surface_variation(cloud: np.ndarray) -> np.ndarray:
+    """Return the surface variation (M,), in [0, 1/3], 0 on a plane, at each point of `cloud` (M,3): the
+    smallest share λ0 / (λ0 + λ1 + λ2) of the eigenvalues of its 16 nearest points' covariance (Pauly, Gross &
+    Kobbelt 2002).
+    """
+    _, near = cKDTree(cloud).query(cloud, k=min(NEIGHBOURS, len(cloud)))
+    centred = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
+    eigenvalues = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centred, centred))
+    total = eigenvalues.sum(axis=1)
+    return np.where(total > 0, np.maximum(eigenvalues[:, 0], 0.0) / np.where(total > 0, total, 1.0), 0.0)
+
+
+def pair_weights(cloud: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the curvature weights (n,) of pulls with corner samples `corners` (n,c) int64, NONE where there
+    is none: condition C4, which the paper defers and leaves undefined; the definition is ours.
+
+    A weight is the mean surface variation over the corners of the pull's two simplices, divided by the mean
+    over the cloud and clipped to [1/4, 4]; 1 for each when the whole cloud is flat. Frozen with the plan.
+    """
+    variation = surface_variation(cloud)
+    mean = variation.mean()
+    if mean <= 0:
+        return np.ones(len(corners))
+    present = corners >= 0
+    total = np.zeros(len(corners))
+    for column, there in zip(corners.T, present.T, strict=True):  # corner by corner: one order of summation
+        total += np.where(there, variation[column], 0.0)
+    return np.clip(total / present.sum(axis=1) / mean, *CLIP)

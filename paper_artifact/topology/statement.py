@@ -1,8 +1,16 @@
-"""A statement in words: Betti numbers in the place of a target diagram, and the audit that holds it to the
+"""Stated Betti numbers in the place of a target diagram: the frame, the density and the audit against the
 images.
 
 The numbers are those that dense samples show (a cup with a narrow rim counts as one void). Nothing here knows
-a ground truth: the frame is that of the SfM cloud, the floor that of the live soup.
+a ground truth: frame and density come from the SfM cloud, the floor from the live soup.
+
+    cloud = cleaned(points)        # points of structure from motion or of a scanner
+
+`cleaned` brings a noisy cloud near to its surface, so that bars born of noise stay as short as on clean ones:
+points far from their neighbours are left out, each other point is projected onto the plane of its neighbours,
+and points still isolated are removed. Gaps stay: only images can close them. Averaging over neighbours
+instead also draws the points together along the surface: the floor falls, and noise-born bars reach .7 of it
+(`data_scripts/measure/dirty.py`).
 """
 
 from __future__ import annotations
@@ -12,10 +20,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
-from paper_artifact.topology.floor import check_diagonal
+from paper_artifact.randomness import stream
+from paper_artifact.topology.floor import check_diagonal, measurement_floor
 
 NAMES = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 # Lifetimes of noise-born bars reach .35 to .49 of the floor on clean samples: what a loss without a guard
@@ -27,11 +38,15 @@ NOISE_LEVEL = 0.5
 SURPLUS = 1.0
 # Percentiles of a cloud's coordinates between which the frame lies: SfM clouds have outliers.
 BOX = (1.0, 99.0)
+DENSITIES = (2048, 4096, 8192, 16384)
+ENOUGH = 0.9  # share of M points that a cloud must have to speak for M
+ISOLATED = 3.0  # a point is left out where its neighbours are that many times as far as the median point's
+NEAR, PLANE = 16, 32  # neighbours that say whether a point is isolated, and that span its plane
 
 
 @dataclass(frozen=True)
 class Statement:
-    """What the user says of a shape, and the unit that its loss is measured in."""
+    """Stated Betti numbers of a shape, and the unit that its loss is measured in."""
 
     betti: tuple[int, ...]  # b0, b1, b2
     diagonal: float  # the unit of births, deaths and floor, world units
@@ -126,3 +141,98 @@ def contradictions(statement: Statement, report: Mapping[str, Any]) -> list[str]
 def _counted(count: int, dimension: int) -> str:
     one, more = NAMES[dimension]
     return f"{count or 'no'} {one if count < 2 else more}"
+
+
+@dataclass(frozen=True)
+class Density:
+    """The density M at which a cloud shows stated classes."""
+
+    samples: int  # M
+    complete: bool  # whether all wanted classes clear the guard there
+    reasons: tuple[str, ...]  # the rule's steps as sentences
+
+    def to_json(self) -> dict:
+        """Return a JSON-able dict, for the log of a run."""
+        return {"samples": self.samples, "complete": self.complete, "reasons": list(self.reasons)}
+
+
+def choose_density(points: np.ndarray, statement: Statement, config: LossConfig) -> Density:
+    """Return the smallest of DENSITIES at which the cloud `points` (n,3), world units, shows all wanted
+    classes.
+
+    Shows: the k-th longest bar exceeds guard · floor (guard 0: noise_level). Where no density shows all, the
+    one that shows most is taken, the smallest of those. The draw of M points is a function of M alone, so all
+    seeds of a shape get one M; a cloud of fewer than M but ENOUGH · M points is taken whole, one of fewer not
+    asked about M. Raises InputError for a cloud too small for the smallest density, or bad points.
+    """
+    points, level = np.asarray(points, dtype=np.float64), noise_level(config)
+    able = [samples for samples in DENSITIES if len(points) >= ENOUGH * samples]
+    if not able:
+        raise InputError(
+            f"samples=auto needs an SfM cloud of at least {round(ENOUGH * DENSITIES[0])} points, got "
+            f"{len(points)}; give the number, for example --loss samples={DENSITIES[0]}"
+        )
+    dimensions = [d for d in config.dimensions or (0, 1, 2) if statement.wanted[d]]
+    if not dimensions:
+        return Density(able[0], True, (f"The statement names no class to be seen: M = {able[0]}.",))
+    reasons, shown = [], {}
+    for samples in able:
+        chosen = stream(0, "density", samples).permutation(len(points))[:samples]
+        margins = _margins(points[chosen], statement, dimensions)
+        shown[samples] = sum(int((each > level).sum()) for each in margins.values())
+        weakest = "; ".join(f"{NAMES[d][1]} {each[-1]:.2f}" for d, each in margins.items())
+        wanted = sum(len(each) for each in margins.values())
+        reasons.append(
+            f"M = {samples}: {shown[samples]} of {wanted} wanted classes exceed {level:g} of the floor "
+            f"(the weakest of each dimension: {weakest})."
+        )
+        if shown[samples] == wanted:
+            return Density(samples, True, tuple(reasons))
+    best = max(able, key=lambda samples: (shown[samples], -samples))
+    asked = f"No density shows all of them; M = {best} shows most"
+    if too_dense := [samples for samples in DENSITIES if samples not in able]:
+        asked += f" (M = {', '.join(map(str, too_dense))} not asked: the cloud has {len(points)} points)"
+    return Density(best, False, (*reasons, f"{asked}."))
+
+
+def _margins(points: np.ndarray, statement: Statement, dimensions: Sequence[int]) -> dict[int, np.ndarray]:
+    """Return, per dimension, the wanted bars' lifetimes over the floor, longest first (0: no such bar)."""
+    floor = measurement_floor(points, 1.0)
+    pairs = alpha_persistence(points, as_given=True)
+    found = {}
+    for dimension in dimensions:
+        lifetimes = np.sort(pairs[dimension].deaths - pairs[dimension].births)[::-1]
+        wanted = statement.wanted[dimension]
+        found[dimension] = np.pad(lifetimes[:wanted], (0, max(0, wanted - len(lifetimes)))) / floor
+    return found
+
+
+def trimmed(points: np.ndarray) -> np.ndarray:
+    """Return the `points` (n,3) whose mean distance to their nearest 16 neighbours is at most 3 times the
+    median of all; any unit, order kept."""
+    count = min(NEAR + 1, len(points))
+    distance = cKDTree(points).query(points, k=count)[0][:, 1:].mean(axis=1)
+    return points[distance <= ISOLATED * np.median(distance)]
+
+
+def projected(points: np.ndarray) -> np.ndarray:
+    """Return `points` (n,3), each moved onto the plane that fits its nearest 32 points best; any unit."""
+    _, nearest = cKDTree(points).query(points, k=min(PLANE, len(points)))
+    patches = points[nearest]
+    centres = patches.mean(axis=1)
+    patches = patches - centres[:, None]
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))
+    normals = axes[:, :, 0]  # of the smallest extent
+    height = ((points - centres) * normals).sum(axis=1)
+    return points - height[:, None] * normals
+
+
+def cleaned(points: np.ndarray) -> np.ndarray:
+    """Return `points` (n,3) trimmed, projected, trimmed again: (m,3) float64, m <= n, in their own unit.
+
+    Raises InputError for fewer than 4 points or a coordinate that is not finite.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
+        raise InputError(f"cleaning needs at least 4 finite points of shape (n, 3), got {points.shape}")
+    return trimmed(projected(trimmed(points)))

@@ -1,38 +1,98 @@
-"""The training-side term: samples, plan, calibration, ramp and log behind two calls per step (paper §3.4).
+"""The training-side term: frozen samples, plan, calibrated weight, ramp and log (paper §3.2, §3.4).
 
     term = TopologyTerm(LossConfig(), bundle, steps=2500, seed=0)
-    term.refresh_if_due(step, vertices, opacity, resampled)
+    if term.due(step, resampled):
+        term.refresh(step, vertices, opacity)
     extra = term.value(step, vertices, photo_gradient_norm)                # None while inactive
 
 vertices (T,3,3) world units; steps count from 1. The ramp and the random streams go by the steps that are
 done, step - 1. The trainer needs to know nothing else, and imports nothing of this when off.
+
+The norm-matched control C2 (§3.5) is "a short-range repulsion on the same frozen samples, calibrated with the
+same ρ (C2g: a gentler radius)", without a formula. Ours: E = (1/M) Σ over sample pairs closer than h of
+(1 - r/h)², distances divided by the diagonal, h a multiple of the target's median spacing r_med(M). Default h
+= 4 r_med: about eleven neighbours of a uniform sample, and below the floor of 6 r_med, hence short-range for
+every significant feature; C2g halves it (about three neighbours).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from paper_artifact.alpha.diagrams import FirstDerivative
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology.betti import build_betti_plan
+from paper_artifact.sampling import sample_soup
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.cloud import check_cloud, noisy
-from paper_artifact.topology.controls import neighbour_pairs, repulsion
-from paper_artifact.topology.plan import Plan, build_plan
-from paper_artifact.topology.samples import FrozenSamples, draw_samples, samples_stream
-from paper_artifact.topology.schedule import no_weight, peak_weight, ramp_factor
-from paper_artifact.topology.statement import Statement, contradictions, unseen
+from paper_artifact.topology.floor import check_cloud, noisy
+from paper_artifact.topology.loss import build_betti_plan
+from paper_artifact.topology.plan import build_plan
+from paper_artifact.topology.statement import (
+    Statement,
+    choose_density,
+    cleaned,
+    contradictions,
+    frame_diagonal,
+    unseen,
+)
 
-DENSER_ROUNDS, DENSER_PER_TRIANGLE = (
-    3,
-    8,
-)  # the fallback "denser": how often, and samples per failing triangle
+# ‖∇V L_topo‖ ÷ ‖∇V L_photo‖ at calibration below which no weight is set: a term whose gradient is rounding
+# alone would get λ = 5e14. The smallest ratio of the recorded runs is 1.3e-3 (torus, C6, seed 3).
+LEAST_RATIO = 1e-5
+# Pairs of the control are listed with the plan, up to this multiple of h, so that samples that come closer
+# between two refreshes count.
+SKIN = 1.25
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenSamples:
+    """M samples of a triangle soup (paper §3.2): X_j = Σ_i w_ij V[F(f_j), i], triangles f_j drawn α × area
+    weighted, barycentric weights w_ij frozen, positions recomputed from the live vertices."""
+
+    faces: Tensor  # (M,) int64: the triangle of each sample
+    barycentrics: Tensor  # (M,3) float64: its frozen corner weights
+    triangles: int  # of the soup that was sampled
+
+    def positions(self, vertices: Tensor, indices: Tensor | None = None) -> Tensor:
+        """Return the samples' positions (M,3) float64 on the CPU, world units.
+
+        Differentiable by `vertices` (T,3,3), on any device. indices (m,) int64: only these samples (a
+        frozen-plan step needs a handful). Raises InputError when the soup has another number of triangles
+        than the one sampled (it was resampled: refresh first).
+        """
+        if vertices.ndim != 3 or tuple(vertices.shape) != (self.triangles, 3, 3):
+            raise InputError(
+                f"the samples were drawn on a soup ({self.triangles}, 3, 3), got {tuple(vertices.shape)}; "
+                "refresh after every resampling"
+            )
+        faces = self.faces if indices is None else self.faces[indices]
+        weights = self.barycentrics if indices is None else self.barycentrics[indices]
+        corners = vertices[faces.to(vertices.device)].cpu().double()
+        return (weights[:, :, None] * corners).sum(dim=1)
+
+
+def draw_samples(
+    vertices: Tensor, opacity: Tensor | None, count: int, generator: np.random.Generator
+) -> FrozenSamples:
+    """Return `count` samples drawn with density α × area on a soup; arguments and errors of `sample_soup`, as
+    tensors on any device."""
+    alpha = None if opacity is None else opacity.detach().cpu().numpy()
+    _, faces, barycentrics = sample_soup(vertices.detach().cpu().numpy(), alpha, count, generator)
+    return FrozenSamples(torch.from_numpy(faces), torch.from_numpy(barycentrics), len(vertices))
+
+
+def samples_stream(seed: int, step: int) -> np.random.Generator:
+    """Return the generator of a run's samples at `step`: a function of (seed, step) only."""
+    return stream(seed, "topology-samples", step)
 
 
 class Objective(Protocol):
@@ -84,23 +144,21 @@ class TopologyTerm:
         """Return the ramp's factor of λ at `step`: 0 before the ramp, 1 after it."""
         return ramp_factor(step - 1, self.steps, self.config.ramp)
 
-    def refresh_if_due(
-        self, step: int, vertices: Tensor, opacity: Tensor | np.ndarray | None, resampled: bool = False
-    ) -> bool:
-        """Draw samples and make the plan when due; return whether that happened.
-
-        Due are the first active step, every `refresh_every` steps, and the first step after a resampling.
-        vertices (T,3,3) world units; opacity (T,) or (T,3) in [0,1], or None; resampled: the soup was changed
-        wholesale since the last call. Raises InputError for NaN or a soup without visible area.
-        """
+    def due(self, step: int, resampled: bool = False) -> bool:
+        """Return whether `step` needs a new plan: the first active step, every `refresh_every` steps, and the
+        first step after a resampling (resampled: the soup was changed wholesale since the last step)."""
         self._resampled |= bool(resampled)
         if not self.factor(step) > 0:
             return False
-        due = (
-            self._objective is None or self._resampled or step - self._refreshed >= self.config.refresh_every
-        )
-        if not due:
-            return False
+        every = self.config.refresh_every
+        return self._objective is None or self._resampled or step - self._refreshed >= every
+
+    def refresh(self, step: int, vertices: Tensor, opacity: Tensor | None) -> None:
+        """Draw samples and make the plan.
+
+        vertices (T,3,3) world units; opacity (T,3) in [0,1], or None for 1. Raises InputError for NaN or a
+        soup without visible area, and with `strict` for a contradiction.
+        """
         samples = draw_samples(vertices, opacity, self.config.samples, samples_stream(self.seed, step - 1))
         kind = Repulsion if self.config.kind == "repulsion" else Persistence
         self._objective = kind(self, step, samples, vertices.detach())
@@ -109,7 +167,6 @@ class TopologyTerm:
         if isinstance(self.target, Statement) and not any(each["event"] == "audit" for each in self.log):
             report = self._objective.report
             self._audit(step, contradictions(self.target, report), unseen(self.target, report, self.config))
-        return True
 
     def value(
         self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[..., float]
@@ -119,13 +176,13 @@ class TopologyTerm:
         Differentiable by `vertices` (T,3,3), world units. photo_gradient_norm: ‖∇V L_photo‖ of this step, or
         a function that gives its mean over so many batches; used once, at calibration. A zero or non-finite
         norm there is a no-op: None is returned, the log says why, and the next step tries again. Raises
-        InputError when `refresh_if_due` was not called or the soup changed without it.
+        InputError when `refresh` was due and not called.
         """
         factor = self.factor(step)
         if factor <= 0:
             return None
         if self._objective is None or self._resampled:
-            raise InputError(f"step {step} is active but has no plan; call refresh_if_due before value")
+            raise InputError(f"step {step} is active but has no plan; call refresh where due before value")
         if self.lambda_peak is None:
             self.lambda_peak = self._calibrated(step, self._objective, vertices, photo_gradient_norm)
         if self.lambda_peak is None:
@@ -185,38 +242,20 @@ class Persistence:
     """One refresh of the persistence loss: samples and plan."""
 
     def __init__(self, term: TopologyTerm, step: int, samples: FrozenSamples, vertices: Tensor) -> None:
-        config, target, done = term.config, term.target, step - 1
-
-        def make(cloud: np.ndarray) -> Plan:
-            seen = noisy(cloud, config.noise, term.seed, done)
-            if isinstance(target, Statement):
-                return build_betti_plan(seen, target, config)
-            return build_plan(seen, target, config)
-
-        plan = make(check_cloud(samples.positions(vertices).numpy(), target))
-        rounds = 0
-        while plan.failing and config.fallback == "denser" and rounds < DENSER_ROUNDS:
-            rounds += 1
-            generator = stream(term.seed, f"topology-denser-{rounds}", done)
-            samples = samples.joined(_denser(plan, samples, vertices, generator))
-            plan = make(samples.positions(vertices).numpy() / target.diagonal)
-        self.samples, self.plan, self.diagonal = samples, plan, target.diagonal
-        self.report = {**plan.report, "denser_rounds": rounds}
+        config, target = term.config, term.target
+        cloud = check_cloud(samples.positions(vertices).numpy(), target)
+        seen = noisy(cloud, config.noise, term.seed, step - 1)
+        if isinstance(target, Statement):
+            self.plan = build_betti_plan(seen, target, config)
+        else:
+            self.plan = build_plan(seen, target, config)
+        self.samples, self.diagonal = samples, target.diagonal
+        # The key belongs to the records' format: a fallback that never fired sampled again in rounds.
+        self.report = {**self.plan.report, "denser_rounds": 0}
 
     def value(self, vertices: Tensor) -> Tensor:
         """Return L_topo under the plan."""
         return self.plan.value(self.samples.positions(vertices, self.plan.used) / self.diagonal)
-
-
-def _denser(
-    plan: Plan, samples: FrozenSamples, vertices: Tensor, generator: np.random.Generator
-) -> FrozenSamples:
-    """Draw more samples, only on the triangles that hold the plan's failing simplices."""
-    failing = np.unique(np.concatenate([list(simplex) for simplex in plan.failing]))
-    triangles = np.unique(samples.faces.numpy()[failing])
-    weight = np.zeros(samples.triangles)
-    weight[triangles] = 1.0
-    return draw_samples(vertices, weight, DENSER_PER_TRIANGLE * len(triangles), generator)
 
 
 class Repulsion:
@@ -234,3 +273,105 @@ class Repulsion:
     def value(self, vertices: Tensor) -> Tensor:
         """Return the repulsion's energy."""
         return repulsion(self.samples.positions(vertices) / self.diagonal, self.pairs, self.radius)
+
+
+def statement_term(
+    loss: LossConfig,
+    points: np.ndarray,
+    steps: int,
+    seed: int,
+    *,
+    strict: bool = False,
+    tell: Callable[[str], None] | None = None,
+) -> TopologyTerm:
+    """Return the term of stated Betti numbers in a run of `steps` steps.
+
+    points (P,3): the SfM cloud, world units. A density chosen from it, cleaned, is logged ("event":
+    "density"). strict, tell: see `TopologyTerm`. Raises InputError as `frame_diagonal`, `cleaned` and
+    `choose_density` do.
+    """
+    statement = Statement(loss.betti or (), frame_diagonal(points))
+    log: list[dict] = []
+    if loss.samples == 0:
+        density = choose_density(cleaned(points), statement, loss)
+        loss, log = replace(loss, samples=density.samples), [{"event": "density", **density.to_json()}]
+        if tell is not None:
+            for reason in density.reasons:
+                tell(reason)
+    term = TopologyTerm(loss, replace(statement, samples=loss.samples), steps, seed, strict=strict, tell=tell)
+    term.log += log
+    return term
+
+
+def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> float:
+    """Return the factor in [0, 1] of λ at `step` of `steps`.
+
+    0 up to window[0]·steps, 1 from window[1]·steps, linear between. window None (condition C3, no ramp): 1 at
+    every step.
+    """
+    if window is None:
+        return 1.0
+    start, end = window
+    return min(1.0, max(0.0, (step / steps - start) / (end - start)))
+
+
+def peak_weight(rho: float, photo_norm: float, topo_norm: float) -> float | None:
+    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where `no_weight` has a reason against it.
+
+    None is a stated no-op: the term stays out of this step, the log says so, and the next step tries again.
+    """
+    return None if no_weight(rho, photo_norm, topo_norm) else rho * photo_norm / topo_norm
+
+
+def no_weight(rho: float, photo_norm: float, topo_norm: float) -> str:
+    """Return why no weight can be set from these norms; an empty text when one can."""
+    for name, norm in (("topology", topo_norm), ("photometric", photo_norm)):
+        if not math.isfinite(norm) or norm <= 0:
+            return f"the {name} gradient is zero or not finite, no weight can be set"
+    if topo_norm < LEAST_RATIO * photo_norm:
+        return (
+            f"the topology gradient is {topo_norm / photo_norm:.1e} of the photometric one, below "
+            f"{LEAST_RATIO:g}: too little to set a weight by"
+        )
+    weight = rho * photo_norm / topo_norm
+    return "" if math.isfinite(weight) and weight > 0 else "the weight is zero or not finite"
+
+
+def neighbour_pairs(cloud: np.ndarray, radius: float) -> np.ndarray:
+    """Return the index pairs (n,2) int64 of `cloud` (M,3) closer than SKIN·radius, in a fixed order."""
+    pairs = cKDTree(cloud).query_pairs(SKIN * radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def repulsion(positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
+    """Return E (scalar float64) of `positions` (M,3) float64 over `pairs` (n,2).
+
+    radius: h, in the unit of the positions. Differentiable once; two samples at one place push each other in
+    no direction (gradient 0).
+    """
+    return _Repulsion.apply(positions, pairs, radius)
+
+
+class _Repulsion(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
+        points = positions.detach().numpy()
+        difference = points[pairs[:, 0]] - points[pairs[:, 1]]
+        distance = np.sqrt((difference**2).sum(axis=1))
+        overlap = np.maximum(0.0, 1.0 - distance / radius)
+        slope = -2.0 * overlap / (radius * len(points)) / np.where(distance > 0, distance, 1.0)
+        force = slope[:, None] * difference
+        gradient = np.column_stack(
+            [
+                np.bincount(pairs[:, 0], force[:, axis], len(points))
+                - np.bincount(pairs[:, 1], force[:, axis], len(points))
+                for axis in range(3)
+            ]
+        )
+        ctx.save_for_backward(positions, torch.from_numpy(gradient))
+        return torch.tensor((overlap**2).sum() / len(points), dtype=torch.float64)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
+        positions, gradient = ctx.saved_tensors
+        return FirstDerivative.apply(upstream * gradient, positions), None, None

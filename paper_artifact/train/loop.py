@@ -24,9 +24,14 @@ from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
-from paper_artifact.train.checkpoint import resumed_state, write_checkpoint
-from paper_artifact.train.state import TrainingError, TrainState, learning_rates
-from paper_artifact.train.term import LossTerm, NoTerm
+from paper_artifact.train.state import (
+    LossTerm,
+    TrainingError,
+    TrainState,
+    learning_rates,
+    resumed_state,
+    write_checkpoint,
+)
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
@@ -59,12 +64,12 @@ def train(
     start when it belongs to the same configuration. progress(step, text) is called after each step. device:
     "cpu", "cuda" or "auto" (cuda when there is one). resampler: None for DiffSoup's own. importance: of the
     scene's points (n,), for the choice of the first triangles. Raises TrainingError when a loss or the soup
-    stops being finite, InputError for a scene without training views or a foreign checkpoint.
+    stops being finite, at the latest ten steps later, InputError for a scene without training views or a
+    foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
-    term = term or NoTerm()
     resampler = resampler or plain_resampler(config)
     state = resumed_state(checkpoint, config, term, backend) or start_state(
         scene, config, backend, importance
@@ -79,13 +84,13 @@ def train(
         state.step = step
         with state.timed("photometric"):
             loss = photometric(step)
-        state.check_loss(loss, config)
         state.losses.append(loss)
         with state.timed("topology"):
-            add_term(term, state, photometric)
+            if term is not None:
+                add_term(term, state, photometric)
         with state.timed("optimiser"):
             state.optimiser.step(learning_rates(config, float(scene.radius), step))
-            state.check_vertices(config)
+            state.check(loss, config)
         state.resampled = False
         if resampler.due(step, config.steps):
             with state.timed("resample"):
@@ -103,7 +108,6 @@ def train(
             write_checkpoint(checkpoint, config, state, term, backend)
         if progress is not None:
             progress(step, f"loss {loss:.4f}, {len(state.soup)} triangles")
-    state.check_attributes(config)
     state.soup = backend.to_host(state.soup)
     return state
 
@@ -125,7 +129,6 @@ def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], flo
     soup = state.soup
 
     def photo_norm(batches: int = 1) -> float:
-        """Mean norm of the vertices' gradient over this step's batch and those of the next steps."""
         own = [tensor.grad for tensor in soup.tensors()]
         norms = []
         for later in range(batches):
@@ -136,7 +139,8 @@ def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], flo
             tensor.grad = gradient
         return sum(norms) / len(norms)
 
-    term.refresh_if_due(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()), state.resampled)
+    if term.due(state.step, state.resampled):
+        term.refresh(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()))
     extra = term.value(state.step, soup.vertices, photo_norm)
     if extra is None:
         return

@@ -1,19 +1,37 @@
-"""A run's state between two steps: soup, optimiser, history; and its learning rates as a function of the
-step."""
+"""A run's state between two steps (soup, optimiser, history), its learning rates, its checkpoints, and what a
+loss term must offer to the training loop.
+
+A checkpoint holds all that a run needs to go on to the same bits, written atomically right after a
+resampling: there the soup's optimiser is new and the topology plan is due, so neither has to be stored; the
+MLP's moments and the term's own state are. The first line of the file is the sha256 of the rest, so that a
+bit that flipped on the disk is refused instead of giving another result.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from paper_artifact.config import RunConfig
+from paper_artifact.config import RunConfig, config_values
+from paper_artifact.errors import InputError
+from paper_artifact.files import write_bytes
 from paper_artifact.soup.adam import KernelOptimiser, TorchOptimiser, soup_optimiser
-from paper_artifact.soup.state import Soup
+from paper_artifact.soup.state import Soup, soup_of
+from paper_artifact.train.backend import Backend
+
+# what the optimiser moves → the setting that is its learning rate
+RATES = {"vertices": "vertex_lr", "features": "feature_lr", "opacity": "opacity_lr", "mlp": "mlp_lr"}
+CHECKED_EVERY = 10  # steps between two looks at features, opacity and MLP
 
 
 class TrainingError(RuntimeError):
@@ -50,26 +68,22 @@ class TrainState:
         self.soup, self.optimiser, self.resampled = soup, soup_optimiser(soup), True
         self.optimiser.load_mlp_state(moments)
 
-    def check_loss(self, loss: float, config: RunConfig) -> None:
-        """Raise TrainingError unless the photometric loss of this step is finite."""
+    def check(self, loss: float, config: RunConfig) -> None:
+        """Raise TrainingError unless this step's photometric loss and the vertices are finite, and at every
+        tenth, resampling or last step all other values; the raster skips corners that are not finite, so the
+        loss alone would never show it."""
         if not np.isfinite(loss):
-            self._broken(f"the loss of step {self.step} is {loss}", f"vertex_lr {config.vertex_lr}")
+            self._broken(f"the loss of step {self.step} is {loss}", config)
+        due = {self.step % CHECKED_EVERY, self.step % config.resample_every, config.steps - self.step}
+        names = ("vertices", "features", "opacities", *["weights of the shading MLP"] * 6)
+        for name, tensor in zip(names, self.soup.tensors(), strict=True):
+            if name != "vertices" and 0 not in due:
+                return
+            if not torch.isfinite(tensor.detach()).all():
+                self._broken(f"{name} are not finite after step {self.step}", config)
 
-    def check_vertices(self, config: RunConfig) -> None:
-        """Raise TrainingError unless all vertices are finite; the raster skips such corners, so no loss would
-        ever tell."""
-        if not torch.isfinite(self.soup.vertices.detach()).all():
-            self._broken(f"vertices are not finite after step {self.step}", f"vertex_lr {config.vertex_lr}")
-
-    def check_attributes(self, config: RunConfig) -> None:
-        """Raise TrainingError unless features and opacity are finite."""
-        if not all(
-            torch.isfinite(tensor.detach()).all() for tensor in (self.soup.features, self.soup.opacity)
-        ):
-            rates = f"feature_lr {config.feature_lr}, opacity_lr {config.opacity_lr}"
-            self._broken(f"features or opacity are not finite after step {self.step}", rates)
-
-    def _broken(self, what: str, rates: str) -> None:
+    def _broken(self, what: str, config: RunConfig) -> None:
+        rates = ", ".join(f"{name} {getattr(config, name):g}" for name in RATES.values())
         raise TrainingError(f"{what}; lower the learning rates ({rates}) and run again")
 
 
@@ -79,9 +93,110 @@ def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, flo
     radius: the scene's, world units, which vertex_lr is per unit of.
     """
     decay = config.final_lr ** (step / config.steps)
-    return {
-        "vertices": config.vertex_lr * radius * decay,
-        "features": config.feature_lr * decay,
-        "opacity": config.opacity_lr * decay,
-        "mlp": config.mlp_lr * decay,
+    rates = {name: getattr(config, setting) * decay for name, setting in RATES.items()}
+    return rates | {"vertices": config.vertex_lr * radius * decay}
+
+
+class LossTerm(Protocol):
+    """An additive loss on the soup's vertices (T,3,3), world units; steps count from 1."""
+
+    log: list[dict]  # what happened, JSON-able, for the record
+
+    def due(self, step: int, resampled: bool) -> bool:
+        """Return whether `refresh` is to be called; asked once a step. resampled: the soup is new."""
+
+    def refresh(self, step: int, vertices: Tensor, opacity: Tensor) -> None:
+        """Make the term's plan; opacity (T,3) in [0,1]."""
+
+    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[..., float]) -> Tensor | None:
+        """Return the weighted loss (scalar), differentiable by the vertices, or None while the term is
+        inactive.
+
+        photo_gradient_norm(batches=1): norm of the photometric gradient by the vertices, the mean over this
+        step's batch and those of the next batches - 1 steps.
+        """
+
+    def state(self) -> dict:
+        """Return what a resumed run needs."""
+
+    def load_state(self, state: dict) -> None:
+        """Continue from what `state` returned."""
+
+
+FORMAT = 3
+SEAL = b"paper_artifact checkpoint, sha256 "
+HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
+
+
+def write_checkpoint(
+    path: Path, config: RunConfig, state: TrainState, term: LossTerm | None, backend: Backend
+) -> None:
+    """Write the state of a run and of its term, atomically. Raises InputError when the folder is not
+    writable or the disk is full."""
+    soup = backend.to_host(state.soup)
+    saved = {name: getattr(state, name) for name in HISTORY} | {
+        "format": FORMAT,
+        "config": _text(config),
+        "soup": [tensor.detach() for tensor in soup.tensors()],
+        "mlp_moments": state.optimiser.mlp_state(),
+        "term": {} if term is None else term.state(),
     }
+    content = io.BytesIO()  # a few MB; torch's own writer would tell of a full disk in a way of its own
+    torch.save(saved, content)
+    write_bytes(path, _seal(content.getvalue()) + content.getvalue())
+
+
+def resumed_state(
+    path: Path | None, config: RunConfig, term: LossTerm | None, backend: Backend
+) -> TrainState | None:
+    """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no
+    such file.
+
+    The term takes over its own state. Raises InputError when the file is damaged or belongs to another
+    configuration.
+    """
+    if path is None:
+        return None
+    try:
+        content = io.BytesIO(_unsealed(path.read_bytes()))
+        saved = torch.load(content, weights_only=True, map_location="cpu")
+        if saved["format"] != FORMAT or saved["config"] != _text(config):
+            raise InputError(
+                f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
+            )
+        history = {name: saved[name] for name in HISTORY}
+        soup = backend.to_device(soup_of(saved["soup"]).trainable())
+        state = TrainState(soup=soup, optimiser=soup_optimiser(soup), resumed_at=history["step"], **history)
+        state.optimiser.load_mlp_state(saved["mlp_moments"])
+        if term is not None:
+            term.load_state(saved["term"])
+    except FileNotFoundError:  # also where an equal run that ended a moment ago removed it
+        return None
+    except InputError:
+        raise
+    except Exception as error:  # torch.load raises many kinds for a damaged file
+        raise InputError(
+            f"checkpoint {path} is damaged ({_short(error)}); delete it to start the run anew"
+        ) from error
+    return state
+
+
+def _seal(content: bytes) -> bytes:
+    """Return the first line of a checkpoint that holds `content`."""
+    return SEAL + hashlib.sha256(content).hexdigest().encode() + b"\n"
+
+
+def _unsealed(data: bytes) -> bytes:
+    """Return what follows the first line. Raises ValueError when it is not what was written."""
+    head = len(_seal(b""))
+    if data[:head] != _seal(data[head:]):
+        raise ValueError("its digest does not fit: cut off, changed, or of an earlier version")
+    return data[head:]
+
+
+def _text(config: RunConfig) -> str:
+    return repr(sorted(config_values(config).items()))
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__
