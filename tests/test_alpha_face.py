@@ -14,7 +14,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper_artifact.topology.term import repulsion
 from sklearn.utils.estimator_checks import check_estimator
 
 from paper_artifact.alpha import (
@@ -31,6 +30,7 @@ from paper_artifact.alpha import (
 from paper_artifact.errors import InputError
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.randomness import stream
+from paper_artifact.topology.term import repulsion
 from tests.test_persistence import CLOUDS
 
 CORNER = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0, 0, 3]])
