@@ -95,7 +95,7 @@ def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_tru
     finer = json.loads(out.read_text())["images"]
     assert finer["supersample"] == 2 and finer["psnr"] != scores["images"]["psnr"]
     assert "4 rays a pixel" in capsys.readouterr().out
-    assert cli.main([*words, "--supersample=0"]) == 1 and "from 1 to 8" in capsys.readouterr().err
+    assert cli.main([*words, "--supersample=0"]) == 2 and "from 1 to 8" in capsys.readouterr().err
     assert cli.main([*words, "--holdout=none"]) == 0
     assert "training views: PSNR" in capsys.readouterr().out
     assert cli.main([*words[:2]]) == 1 and "give --target" in capsys.readouterr().err
