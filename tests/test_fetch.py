@@ -257,4 +257,4 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     assert "spot: the mirror" in error and "2 of 2 meshes could not be fetched" in error
     assert main(["fetch", "--list"]) == 0
     listed = capsys.readouterr().out
-    assert all(key in listed for key in sources(TABLE)) and "  CC0-1.0\n" in listed
+    assert all(key in listed for key in sources(TABLE)) and "  CC0-1.0" in listed
