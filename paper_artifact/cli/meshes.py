@@ -47,13 +47,17 @@ class Certify(Options):
 def certify(options: Certify) -> tuple[int, Any]:
     """Print the certificate. Returns 0, or 1 when it fails, and what --json writes."""
     from paper_artifact.certify.certificate import certificate_text, certify_mesh
-    from paper_artifact.study.dispositions import disposition_text, dispositions
+    from paper_artifact.study.dispositions import dispositions
 
     if options.candidates == (options.mesh is not None):
         raise WrongUsage("name one mesh to certify, or give --candidates for the paper's table")
     if options.mesh is None:
         rows = dispositions()
-        print(disposition_text(rows))
+        print(f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured")
+        for row in rows:
+            betti = str(row.certificate.betti) if row.certificate else "-"
+            agrees = {True: "yes", False: "NO", None: "-"}[row.agrees]
+            print(f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}{agrees:<8}{row.measured}")
         found = {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows}
         return int(options.strict and any(row.agrees is False for row in rows)), found
     with stage_bar(options.mesh, options.quiet) as stage:
