@@ -181,7 +181,7 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
     (vertices, faces), _, _, _ = shapes.KNOWN["pinched vertex"]
     path = tmp_path / "pinched.off"
     trimesh.Trimesh(vertices, faces, process=False).export(path)
-    assert cli.main(["certify", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    assert cli.main(["certify", str(path), "--json", str(tmp_path / "c.json")]) == 1
     printed = capsys.readouterr().out
     assert "FAIL" in printed and "1 pinched vertex" in printed and "(1, 0, 2)" in printed
     stored = json.loads((tmp_path / "c.json").read_text())
@@ -195,7 +195,7 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
     assert "PASS as a surface with boundary (1 boundary loop; not closed)" in capsys.readouterr().out
     assert cli.main(["certify", "bowl_narrow", "--strict", "--closed", "--quiet"]) == 1
     assert "FAIL" in capsys.readouterr().out
-    assert cli.main(["certify"]) == 1
+    assert cli.main(["certify"]) == 2
     assert "name one mesh" in capsys.readouterr().err
 
 
