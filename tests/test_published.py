@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from paper_artifact.catalogue import shapes_of
@@ -95,3 +96,12 @@ def test_window_of_the_floor_multiplier_follows_from_the_margins():
 def test_unknown_names_are_refused():
     with pytest.raises(InputError, match="no table 'S14' here; known: 1, 2"):
         published("S14")
+
+
+def test_table_s6_has_a_source_for_every_method_but_the_paper_s_own():
+    methods = set(published("S6")["shape"])
+    found = pd.read_csv(PUBLISHED / "literature.csv", dtype=str, keep_default_na=False)
+    assert methods - set(found["method"]) == {"DiffSoup + prior (§ A)", "this work"}
+    assert found["key"].is_unique and set(found["checked"]) == {"abstract", "objective"}
+    assert found["year"].str.fullmatch(r"20\d\d").all() and (found != "").all().all()
+    assert found["link"].str.fullmatch(r"https://arxiv\.org/abs/\d{4}\.\d{5}").all()

@@ -4,10 +4,12 @@ to 20,000, five sampling seeds. A minute of CPU; notebook 03 reads it.
     python data_scripts/measure/staircase.py
 """
 
-from paper_artifact.results import MEASURED
+from common import options, write
+
 from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.staircase import DENSITIES, SEEDS, staircases
 
 if __name__ == "__main__":
+    folder = options(__doc__).out
     table = staircases(tuple(SHAPES), (512, 1024, *DENSITIES), SEEDS, progress=print)
-    table.to_csv(MEASURED / "staircase.csv", index=False, float_format="%.6g", lineterminator="\n")
+    write(table, folder / "staircase.csv")

@@ -6,18 +6,18 @@ the catalogue and five seeds. It depends on shape and seed alone; `results` adds
 """
 
 import pandas as pd
+from common import options, write
 
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.evaluate.scores import evaluate_soup, make_target
 from paper_artifact.files import RESULTS
 from paper_artifact.pipeline import prepare_scene
-from paper_artifact.results import MEASURED
 from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.loop import start_state
 
 if __name__ == "__main__":
-    rows = []
+    folder, rows = options(__doc__).out, []
     for shape in (row.name for row in SHAPES):
         target = make_target(surface(shape), cache=None)
         for seed in range(5):
@@ -28,4 +28,4 @@ if __name__ == "__main__":
             row = {"shape": shape, "seed": seed, "bottleneck": found["bottleneck"][target.dimension]}
             rows.append(row | {"count": found["counts"][target.dimension], "chamfer": found["chamfer"]})
         print(shape)
-    pd.DataFrame(rows).to_csv(MEASURED / "starts.csv", index=False, float_format="%.6g", lineterminator="\n")
+    write(pd.DataFrame(rows), folder / "starts.csv")

@@ -1,1 +1,0 @@
-"""Tables and figures that the notebooks show: the published values, ours beside them."""
