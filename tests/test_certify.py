@@ -190,10 +190,9 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
         and stored["verdict"] == "fail"
         and stored["components"][0]["pinched_vertices"] == 1
     )
-    assert cli.main(["certify", str(path), "--strict"]) == 1
-    assert cli.main(["certify", "bowl_narrow", "--strict", "--quiet"]) == 0
+    assert cli.main(["certify", "bowl_narrow", "--quiet"]) == 0
     assert "PASS as a surface with boundary (1 boundary loop; not closed)" in capsys.readouterr().out
-    assert cli.main(["certify", "bowl_narrow", "--strict", "--closed", "--quiet"]) == 1
+    assert cli.main(["certify", "bowl_narrow", "--closed", "--quiet"]) == 1
     assert "FAIL" in capsys.readouterr().out
     assert cli.main(["certify"]) == 2
     assert "name one mesh" in capsys.readouterr().err

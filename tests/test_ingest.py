@@ -247,11 +247,11 @@ def test_the_teapot_becomes_one_closed_body_with_its_handle(tmp_path, capsys):
 
 def test_the_verb_refuses_before_it_works(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(module, "distance_grid", None)
-    assert cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.glb")]) == 1
+    assert cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.glb")]) == 2
     assert "must end in" in capsys.readouterr().err
     assert (
         cli.main(["ingest", "sphere", "--out", str(tmp_path / "a.ply"), "--raw-obj", str(tmp_path / "r.obj")])
-        == 1
+        == 2
     )
     assert "goes with 'pot' alone" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

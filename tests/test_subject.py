@@ -99,7 +99,7 @@ def test_the_verb_takes_the_subject_out_of_a_scenes_soup(tiny_scene, tmp_path, c
     assert np.abs(load_mesh(out).vertices).max() < 0.9
     save_soup(tmp_path / "s.npz", wall)
     assert cli.main([*words, *scene]) == 1 and "--radius widens the ball" in capsys.readouterr().err
-    assert cli.main([*words, "--radius=2"]) == 1 and "belong to --scene" in capsys.readouterr().err
+    assert cli.main([*words, "--radius=2"]) == 2 and "belong to --scene" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["ply", "glb"])

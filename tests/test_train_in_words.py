@@ -86,7 +86,7 @@ def test_the_command_line_trains_in_words_and_records_them(results, capsys):
 )
 def test_other_words_are_refused_before_anything_is_made(arguments, words, monkeypatch, capsys):
     monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)  # calling it would fail
-    assert cli.main(["train", "--quiet", *arguments]) == 1
+    assert cli.main(["train", "--quiet", *arguments]) == 2
     error = capsys.readouterr().err
     assert words in error and len(error.splitlines()) == 1
 
