@@ -202,11 +202,10 @@ def persistence_image(
     resolution: int = 20,
     bandwidth: float | None = None,
     span: tuple[tuple[float, float], tuple[float, float]] | None = None,
-    power: float = 1.0,
 ) -> Any:
     """Return the persistence image (resolution, resolution) of bars (k,2): rows lifetimes, columns births.
 
-    Each finite bar adds lifetime^power times a Gaussian of standard deviation `bandwidth` (default: a pixel's
+    Each finite bar adds its lifetime times a Gaussian of standard deviation `bandwidth` (default: a pixel's
     larger side) at (birth, lifetime), evaluated at the pixels' centres; bars that never die are left out.
     span: ((least, largest birth), (least, largest lifetime)), default that of the bars; give one to compare
     images. A tensor for a tensor, differentiable; a float64 array otherwise. Raises InputError as
@@ -236,7 +235,7 @@ def persistence_image(
         library.exp(-(((axis[None] - values[:, None]) / bandwidth) ** 2) / 2)
         for axis, values in zip(centres, (array[:, 0], lives), strict=True)
     )
-    return heights.T @ (births * (lives**power)[:, None]) / (2 * np.pi * bandwidth**2)
+    return heights.T @ (births * lives[:, None]) / (2 * np.pi * bandwidth**2)
 
 
 def _range(values: np.ndarray) -> tuple[float, float]:

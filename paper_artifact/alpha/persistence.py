@@ -93,10 +93,14 @@ def alpha_persistence(
         raise InputError(f"max_dimension is {top!r}; give 0 to {points.shape[1] - 1} for these points")
     if not max_radius >= 0:
         raise InputError(f"max_radius is {max_radius!r}; give a number of at least 0")
-    if method not in _METHODS:
+    if method not in ("fast", "gudhi"):
         raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
     order = np.arange(len(points)) if as_given else canonical_order(points)
-    found = _METHODS[method](points[order], progress=progress, top=top, squared=squared, names=order)
+    how: dict[str, Any] = {"progress": progress, "top": top, "squared": squared, "names": order}
+    if method == "fast":
+        found = fast_persistence(points[order], **how)
+    else:
+        found = gudhi_persistence(points[order], **how)
     limit = max_radius**2 if squared else max_radius
     return tuple(
         _ended(pairs, points, infinite, limit, dimension) for dimension, pairs in enumerate(found[: top + 1])
@@ -231,9 +235,6 @@ def gudhi_persistence(
         )
     stages.end(clock)
     return tuple(found)
-
-
-_METHODS = {"fast": fast_persistence, "gudhi": gudhi_persistence}
 
 
 @dataclass(frozen=True, eq=False)
