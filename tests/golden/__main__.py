@@ -108,6 +108,7 @@ def same(wanted: Number, shown: np.ndarray) -> bool:
     near &= (shown[:, 1] >= decimals) | (
         np.abs(shown[:, 0]) >= 10 * unit
     )  # a rounder one: two digits at least
+    near |= np.isclose(shown[:, 0], value, rtol=1e-12, atol=0)  # the same without its trailing zeros
     if percent:
         near |= np.abs(100 * shown[:, 0] - value) <= 0.5 * 10.0**-decimals
     return bool(near.any())
