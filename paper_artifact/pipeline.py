@@ -252,8 +252,9 @@ def run(
     bundle = target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = writable(record_path(config, results / "runs"))
     scene = subject.scene(results)
-    for remark in subject.remarks(scene) if tell is not None else ():
-        tell(remark)
+    if tell is not None:
+        for remark in subject.remarks(scene):
+            tell(remark)
     mesh, bundle = in_frame(scene.frame, subject.given.mesh, bundle)
     term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
     target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
@@ -280,7 +281,7 @@ def run(
         **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
         **({} if term is None else term_sections(term)),
     }
-    losses = {"step": range(1, len(state.losses) + 1), "loss": state.losses}
+    losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
     record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
     save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)

@@ -56,7 +56,7 @@ def alpha_diagrams(
     Gabriel gate, relative 1e-6, is detached. A batch (b,n,d) or a list of clouds gives a list of such tuples.
     Raises InputError as `alpha_persistence` does: other shapes, complex numbers, NaN.
     """
-    options = {
+    options: dict[str, Any] = {
         "infinite": infinite,
         "squared": squared,
         "max_dimension": max_dimension,
@@ -99,7 +99,8 @@ class AlphaPersistence(torch.nn.Module):
 
     def forward(self, points: Tensor | Sequence[Tensor]) -> tuple[DiagramTensor, ...] | list:
         """Return the diagrams of `points` (n,3) or (n,2); of a batch (b,n,d) or a list, a list of them."""
-        return alpha_diagrams(points, **self.options)
+        every: Any = points  # a list of clouds gives a list of diagrams
+        return alpha_diagrams(every, **self.options)
 
     def extra_repr(self) -> str:
         """Return the options for print()."""

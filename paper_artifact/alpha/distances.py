@@ -23,6 +23,7 @@ compare with hera (which returns 0 for distances near 1e-13).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ def _nearest_cost(bars: np.ndarray, others: np.ndarray) -> float:
     return float(np.minimum(_half(bars), distances).max())
 
 
-def _least(low: float, high: float, feasible) -> float:
+def _least(low: float, high: float, feasible: Callable[[float], bool]) -> float:
     """Return the least feasible bound in [low, high], to the last float; high and all above are feasible."""
     high = max(low, high)
     if feasible(low):
@@ -221,7 +222,7 @@ def persistence_image(
     bandwidth = max(pixels) if bandwidth is None else bandwidth
     if not (resolution >= 1 and min(pixels) > 0 and bandwidth > 0):
         raise InputError("resolution, span and bandwidth of a persistence image must be positive")
-    centres = [
+    centres: list[Any] = [
         low + pixel * (np.arange(resolution) + 0.5) for (low, _), pixel in zip(span, pixels, strict=True)
     ]
     library: Any = np

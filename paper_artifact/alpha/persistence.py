@@ -224,15 +224,13 @@ def gudhi_persistence(
     found = []
     for dimension, each in enumerate(rows[: top + 1]):
         births, deaths, *simplices = zip(*each, strict=True) if each else ((), (), (), ())
+        ends = np.array(births, dtype=float), np.array(deaths, dtype=float)
         width = (dimension + 1, dimension + 2)
-        arrays = [np.array(s, dtype=np.int32).reshape(-1, w) for s, w in zip(simplices, width, strict=True)]
-        found.append(
-            _pairs(
-                sorted_rows((np.array(births, dtype=float), np.array(deaths, dtype=float), *arrays), called),
-                0,
-                squared,
-            )
+        born, died = (
+            np.array(each, dtype=np.int32).reshape(-1, corners)
+            for each, corners in zip(simplices, width, strict=True)
         )
+        found.append(_pairs(sorted_rows((*ends, born, died), called), 0, squared))
     stages.end(clock)
     return tuple(found)
 

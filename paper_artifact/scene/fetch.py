@@ -24,7 +24,7 @@ import zipfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from tqdm import tqdm
 
@@ -103,7 +103,8 @@ def sources(table: Path = TABLE) -> dict[str, Source]:
     result = {}
     for number, row in enumerate(rows, start=2):
         try:
-            entry = Source(**{**row, "bytes": int(row["bytes"] or 0)})
+            given: dict[str, Any] = row | {"bytes": int(row["bytes"] or 0)}
+            entry = Source(**given)
         except (TypeError, ValueError, KeyError) as error:
             raise InputError(
                 f"line {number} of the mesh table {table} is damaged; restore it with git"
@@ -158,8 +159,9 @@ def photo_sets(table: Path = PHOTO_TABLE) -> dict[str, PhotoSet]:
             try:
                 name, licence = row.pop("set"), row["licence"]
                 path = Path(row["path"]).name
+                given: dict[str, Any] = row | {"bytes": int(row["bytes"])}
                 entry = Source(
-                    **{**row, "bytes": int(row["bytes"])},
+                    **given,
                     key=f"{name}/{path}",
                     name=path,
                     role="comparison",
