@@ -106,7 +106,7 @@ def test_pictures_that_unpack_to_more_than_a_photograph_are_refused(side, words,
 def test_pictures_of_a_kind_that_starts_other_programs_are_not_opened(scene):
     folder = scene()
     (folder / "images" / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EOF\n")
-    with pytest.raises(InputError, match=r"a.png is damaged or no image"):
+    with pytest.raises(InputError, match=r"a.png is no image of the kinds PNG, JPEG"):
         load_scene(folder)
 
 

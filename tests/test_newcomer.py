@@ -134,7 +134,7 @@ def test_the_made_up_condition_and_shape_are_trained_swept_tabulated_plotted_and
         *["-m", "paper_artifact", "train", "pebble", "--condition", "C8", "--steps", "20", "--quiet"],
         *settings,
     )
-    assert "pebble C8 seed 0; tail bottleneck H2" in trained
+    assert "pebble C8 seed 0; tail bottleneck of voids" in trained
     assert "missing: pebble C8 seed 0" in fork.run("-m", "paper_artifact", "sweep", "pebbles", "--list")
     before, failures, left = json.loads(fork.run("-c", SWEEP).splitlines()[-1])
     assert before == ["C0", "C2"], "what was trained alone is a run of the study"

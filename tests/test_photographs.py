@@ -169,7 +169,7 @@ def test_cut_outs_in_sub_folders_keep_their_masks(tmp_path, capsys):
     words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200"]
     assert main(words) == 0
     told = capsys.readouterr()
-    assert "8 photographs registered" in told.out and "matching" in told.err and "mapping" in told.err
+    assert "8 photographs registered" in told.out and told.err == "", "bars are silent without a terminal"
     scene = load_scene(tmp_path / "scene")
     assert scene.names[0] == "ring_0_mug_30.jpg" and scene.names[4] == "upper_ring_1_mug_31.jpg"
     assert (scene.background == 1).all()

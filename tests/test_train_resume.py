@@ -36,7 +36,7 @@ def at_step(train, batch, seed, step):
         kill()
     return batch_views(train, batch, seed, step)
 def half(path, data):
-    checkpoints.extend([path] * (path.parent.name == "checkpoints"))
+    checkpoints.extend([path] * ("checkpoints" in path.parts))
     if len(checkpoints) == 4:
         write(path, data[:len(data) // 2])
         kill()

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from paper_artifact.files import REPOSITORY
-from tests.test_readme import blocks
+from tests.test_readme import LIBRARY, blocks
 from tests.tiny_run import tiny_arguments
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
@@ -110,7 +110,7 @@ def test_the_wheel_holds_the_package_alone_and_says_it_is_typed(installed):
 
 
 def test_the_readmes_program_runs(installed):
-    (program,) = blocks("python")
+    (program,) = blocks("python", LIBRARY)
     result = installed.run(
         "-W", "error", "-c", program + "\nimport paper_artifact\nprint(paper_artifact.__file__)"
     )

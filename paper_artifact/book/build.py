@@ -257,6 +257,11 @@ def write_reference(folder: Path) -> None:
     """Write pdoc's pages of the modules `API` into `folder`."""
     import pdoc
 
+    from paper_artifact import alpha
+
+    for name in alpha.__all__:  # those that need more than numpy are imported when first asked for
+        vars(alpha)[name] = getattr(alpha, name)
+
     pdoc.render.configure(docformat="markdown", show_source=True)
     pdoc.pdoc(*(f"paper_artifact.{name}" for name in API), output_directory=folder)
 

@@ -112,6 +112,11 @@ def _run(argv: list[str], asked: str | None) -> int:
     namespace = parser.parse_args(argv)
     options = read_options(_options_of(runner), namespace)
     file = getattr(options, "json", None)
+    if file is not None and str(file) != "-":
+        try:  # before the work
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise write_failure(file, error) from error
     on_stdout = file == Path("-")  # then the text goes to stderr
     with redirect_stdout(sys.stderr if on_stdout else sys.stdout):
         code, value = runner(options) if hasattr(options, "json") else (runner(options), None)

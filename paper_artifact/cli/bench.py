@@ -58,7 +58,7 @@ def bench(options: Bench) -> int:
     """Print the measurements. Returns 0; WrongUsage for an unknown part."""
     unknown = sorted(set(options.parts) - set(PARTS))
     if unknown:
-        raise WrongUsage(f"unknown part {unknown}; choose among {PARTS}")
+        raise WrongUsage(f"unknown part {', '.join(unknown)}; choose among {', '.join(PARTS)}")
     os.environ["OMP_NUM_THREADS"] = "1"
     import torch
 
