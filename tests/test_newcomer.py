@@ -58,7 +58,7 @@ from paper_artifact import plot, results
 from paper_artifact.verdict import arms, verdicts
 
 tables = results.load("recorded", ["pebbles"], Path("results/runs"))
-runs = tables.of("pebbles")
+runs = tables.runs  # with the settings of a tiny run they are no runs of the study
 judged = verdicts(runs, loss="C8").loc["pebble"]
 print(json.dumps({
     "arms": [list(key) for key in arms(runs).index],
