@@ -7,7 +7,6 @@ import urllib.error
 import urllib.request
 
 import pytest
-import torch
 
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.scene.fetch import MIRROR_VARIABLE, RAW
@@ -27,15 +26,6 @@ def tiny_results(tmp_path_factory):
 def tiny_scene(tiny_results):
     """The tiny run's scene, loaded."""
     return prepare_scene(tiny_config(), make_shape("sphere"), tiny_results / "scenes")
-
-
-@pytest.fixture
-def own_threads(monkeypatch):
-    """Undo what `bench` sets for its own process."""
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

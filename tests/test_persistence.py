@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from paper_artifact.alpha import delaunay, ordering
-from paper_artifact.alpha.persistence import STAGES, Pairs, alpha_persistence, gudhi_persistence
-from paper_artifact.bench import persistence as benchmark
+from paper_artifact.alpha.persistence import Pairs, alpha_persistence, gudhi_persistence
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 
@@ -340,35 +339,3 @@ def test_the_hilbert_curve_visits_every_cell_and_never_jumps():
     assert sorted(places) == list(range(side**3))
     steps = np.abs(np.diff(grid[np.argsort(places)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
-
-
-# the benchmark's rows
-
-
-def test_benchmark_rows_are_complete_and_consistent():
-    rows = benchmark.persistence_rows((200, 400), repetitions=2, cloud="soup")
-    assert [row["M"] for row in rows] == [200, 400]
-    for row in rows:
-        for key in ("gudhi", "fast"):
-            stages = [row[f"{key}_{stage}_ms"] for stage in STAGES]
-            assert min(stages) >= 0 and sum(stages) > 0
-        assert row["ratio"] == pytest.approx(row["gudhi_ms"] / row["fast_ms"])
-
-
-def test_growth_is_fitted_over_all_sizes_with_its_spread():
-    ends = [{"M": 10, "fast_ms": 2.0}, {"M": 40, "fast_ms": 8.0}]
-    assert benchmark.growth(ends)[0] == pytest.approx(1.0) and benchmark.growth_text(ends) == "1.00"
-    rows = [{"M": 10**k, "fast_ms": 3.0 * 10 ** (1.5 * k)} for k in range(2, 6)]
-    assert benchmark.growth(rows) == pytest.approx((1.5, 0.0))
-    rows[0]["fast_ms"] *= 10**0.4  # log times 3.4, 4.5, 6, 7.5 above log 3: slope 1.38, squares .048, by hand
-    exponent, error = benchmark.growth(rows)
-    assert exponent == pytest.approx(1.38) and error == pytest.approx((0.048 / 2 / 5) ** 0.5)
-    assert benchmark.growth_text(rows) == "1.38 ± 0.07"
-
-
-@pytest.mark.parametrize("arguments", [{"cloud": "sea"}, {"sizes": (3,)}, {"sizes": ()}, {"repetitions": 0}])
-def test_benchmark_refuses_bad_arguments(arguments):
-    with pytest.raises(InputError):
-        benchmark.persistence_rows(**arguments)
-    with pytest.raises(InputError):
-        benchmark.growth([{"M": 5, "fast_ms": 1.0}])

@@ -1,8 +1,9 @@
 """What the measurements of this folder share: the clock, the machine, the CSV.
 
-A measurement is a script, `python data_scripts/measure/NAME.py`, that writes results/measured/NAME.csv; a
-notebook reads it with `results.measured(NAME)`. Times are CPU seconds of the process on one thread, medians
-of turns in which the compared calls alternate, so that the load of the machine touches all alike.
+A measurement is a script, `python data_scripts/measure/NAME.py`, that writes results/measured/NAME.csv or
+prints ratios; a notebook reads the CSV with `results.measured(NAME)`. Times are CPU seconds of the process on
+one thread, medians of turns in which the compared calls alternate, so that the load of the machine touches
+all alike.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import argparse
 import gc
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,9 @@ class Clock:
         self.wall = time.perf_counter() - self._begin[1]
 
 
-def in_turn(calls: Mapping[str, Callable[[], Any]], turns: int) -> dict[str, list[Clock]]:
-    """Return each call's clocks over `turns` turns in which the calls alternate, after one uncounted turn
-    (compilation, caches)."""
+def in_turn(calls: Mapping[str, Callable[[], Any]], turns: int) -> dict[str, pd.DataFrame]:
+    """Return each call's clocks, a frame with columns cpu and wall (seconds) and a row for each of `turns`
+    turns in which the calls alternate, after one uncounted turn (compilation, caches)."""
     taken: dict[str, list[Clock]] = {name: [] for name in calls}
     for _ in range(turns + 1):
         for name, call in calls.items():
@@ -49,20 +51,16 @@ def in_turn(calls: Mapping[str, Callable[[], Any]], turns: int) -> dict[str, lis
             with Clock() as clock:
                 call()
             taken[name].append(clock)
-    return {name: clocks[1:] for name, clocks in taken.items()}
+    return {
+        name: pd.DataFrame({"cpu": [each.cpu for each in clocks], "wall": [each.wall for each in clocks]})[1:]
+        for name, clocks in taken.items()
+    }
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch use one thread within the block."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+def in_own_process(work: Callable, *arguments: Any) -> Any:
+    """Return work(*arguments), computed in a new process: for peak memory. work: a function of a module."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
 
 
 def cpu_name() -> str:
@@ -73,9 +71,7 @@ def cpu_name() -> str:
 def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     """Return the command line of a script with the docstring `text`: --out, the folder of the CSV, and the
     `extra` options, {name: keywords of `add_argument`}."""
-    parser = argparse.ArgumentParser(
-        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=MEASURED, help="folder of the CSV (%(default)s)")
     for name, keywords in extra.items():
         parser.add_argument(f"--{name}", **keywords)

@@ -5,9 +5,9 @@ wanted; the same certificate judges them. One row per run and way, and per shape
 surface (condition "truth": can the way do it at all?). CPU seconds; Poisson's both ways share theirs.
 Notebook 19 reads it. Ten minutes.
 
-pymeshlab is no dependency: run it in a side environment that borrows this one's packages (README, "Beside
-other libraries"). --soups: a folder of final soups, default results/retrained/soups; runs that it lacks are
-left out. The script goes on from the rows that are stored.
+pymeshlab is no dependency: run it in a side environment (docs/study.md). --soups: a folder of final soups,
+default results/retrained/soups; runs that it lacks are left out. The script goes on from the rows that are
+stored.
 """
 
 from __future__ import annotations
@@ -107,8 +107,7 @@ def main() -> None:
     try:
         pymeshlab = importlib.import_module("pymeshlab")
     except ImportError as error:
-        where = "README, 'Beside other libraries'"
-        raise SystemExit(f"pymeshlab does not import ({error}); see {where}") from error
+        raise SystemExit(f"pymeshlab does not import ({error}); see docs/study.md") from error
     path = given.out / "solid_peers.csv"
     table = pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=RUN)
     known = set(table[RUN].itertuples(index=False, name=None))

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import pandas as pd
 import torch
-from common import Clock, cpu_name, one_thread, options, write
+from common import Clock, cpu_name, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
+from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.topology.bundle import build_from_mesh
@@ -69,5 +70,5 @@ def measured() -> pd.DataFrame:
 
 if __name__ == "__main__":
     folder = options(__doc__).out
-    with one_thread():
+    with one_torch_thread():
         write(measured(), folder / "words_cost.csv")

@@ -62,13 +62,11 @@ VERBS: dict[str, tuple[str, str]] = {  # name: (module.function in this folder, 
         "notebooks.book",
         "make the book: results, items, figures, tables, 3-D views and notebooks as pages",
     ),
-    "bench": ("bench.bench", "measure speed and memory; every ratio is taken in one process"),
     "certify": ("meshes.certify", "certify a mesh's topology by exact simplicial homology"),
     "audit": ("meshes.audit", "audit one's own mesh: certificate, density staircase, bundle, HTML report"),
     "ingest": ("solids.ingest", "turn raw open shells into one closed, certified surface"),
     "solidify": ("solids.solidify", "turn a trained soup into one closed, certified, coloured mesh"),
     "sweep": ("runs.sweep", "run a table of training runs, resuming what is missing"),
-    "measure": ("bench.measure", "make a measurement that the notebooks read from results/measured"),
 }
 
 
