@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import urllib.error
-import urllib.request
 
 import pytest
+import requests
 
 from paper_artifact.pipeline import prepare_scene
 from paper_artifact.scene.fetch import MIRROR_VARIABLE, RAW
@@ -34,10 +33,8 @@ def meshes():
     if os.environ.get(MIRROR_VARIABLE):
         return
     try:
-        urllib.request.urlopen(RAW, timeout=10).close()
-    except urllib.error.HTTPError as answer:  # reached, whatever it thinks of the address
-        answer.close()
-    except OSError as error:
+        requests.head(RAW, timeout=10)  # reached, whatever it thinks of the address
+    except OSError:
         pytest.skip(
-            f"external meshes: {RAW} cannot be reached ({error}) and {MIRROR_VARIABLE} names no folder"
+            f"external meshes: {RAW} cannot be reached, and {MIRROR_VARIABLE} names no folder"
         )

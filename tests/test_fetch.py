@@ -1,6 +1,4 @@
-"""Fetching: against a local server and local mirrors, every failure leaves nothing behind and says what to
-do.
-"""
+"""Fetching, against a local server and local mirrors: a failure leaves nothing behind and says what to do."""
 
 from __future__ import annotations
 
@@ -15,13 +13,19 @@ from pathlib import Path
 
 import pytest
 
-from paper_artifact.cli import main
+from paper_artifact.cli import main, scenes  # noqa: F401, its names are patched
 from paper_artifact.errors import InputError
 from paper_artifact.scene import fetch as fetching
-from paper_artifact.scene.fetch import ROLES, TABLE, source, sources
+from paper_artifact.scene.fetch import ROLES, photo_sets, sources
 
 BODY = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" * 400
 HEADER = "key,name,repository,commit,path,sha256,bytes,licence,role,member,member_sha256,notes\n"
+PHOTO_HEADER = "set,repository,commit,path,sha256,bytes,licence\n"
+VIEWS = {"views/a.png": b"first", "views/b.png": b"second"}
+
+
+def _sha(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _zip(name: str, data: bytes) -> bytes:
@@ -35,85 +39,98 @@ ARCHIVE = _zip("deep/tri.ply", BODY)
 
 
 @pytest.fixture(autouse=True)
-def table(tmp_path, monkeypatch):
-    """A table with one plain mesh and one archive; no mirror in the environment.
-    """
-    path = tmp_path / "meshes.csv"
-    rows = [
+def tables(tmp_path, monkeypatch):
+    """Tables with a plain mesh, two archives and a set of photographs; no mirror in the environment."""
+    text = HEADER + "gone,gone,,,,,,,not obtainable,,,nowhere to be found\n"
+    for key, file, data, member, digest in (
         ("tri", "data/a b.obj", BODY, "", ""),
-        ("packed", "data/packed.zip", ARCHIVE, "deep/tri.ply", hashlib.sha256(BODY).hexdigest()),
-    ]
-    path.write_text(
-        HEADER
-        + "".join(
-            f"{key},{key},some/where,abc,{file},{hashlib.sha256(data).hexdigest()},{len(data)},CC0,used,{member},{digest},\n"
-            for key, file, data, member, digest in rows
-        )
-        + "gone,gone,,,,,,,not obtainable,,,nowhere to be had\n"
-    )
-    monkeypatch.setattr(fetching, "source", lambda key: source(key, path))
+        ("packed", "data/packed.zip", ARCHIVE, "deep/tri.ply", _sha(BODY)),
+        ("another", "data/packed.zip", ARCHIVE, "deep/tri.ply", _sha(b"")),
+    ):
+        text += f"{key},{key},some/where,abc,{file},{_sha(data)},{len(data)},CC0,used,{member},{digest},\n"
+    (tmp_path / "meshes.csv").write_text(text)
+    rows = [f"two,some/where,abc,{path},{_sha(data)},{len(data)},free\n" for path, data in VIEWS.items()]
+    (tmp_path / "photographs.csv").write_text(PHOTO_HEADER + "".join(rows))
+    meshes, sets = sources(tmp_path / "meshes.csv"), photo_sets(tmp_path / "photographs.csv")
+    for module in ("paper_artifact.scene.fetch", "paper_artifact.cli.scenes"):
+        monkeypatch.setattr(f"{module}.sources", lambda: meshes)
+        monkeypatch.setattr(f"{module}.photo_sets", lambda: sets)
     monkeypatch.delenv(fetching.MIRROR_VARIABLE, raising=False)
-    return path
 
 
-@contextmanager
-def server(status: int = 200, body: bytes = BODY, announced: int | None = None):
-    """A server on 127.0.0.1 that answers every GET alike; yields (base URL, list of requested paths)."""
-    asked: list[str] = []
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self):
-            asked.append(self.path)
-            self.send_response(status)
-            self.send_header("Content-Length", str(len(body) if announced is None else announced))
-            self.end_headers()
-            self.wfile.write(body)
 
-        def log_message(self, *arguments):
-            pass
+@pytest.fixture
+def server(monkeypatch):
+    """A context with a server on 127.0.0.1 that answers every GET alike; yields the requested paths."""
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as running:
-        thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{running.server_address[1]}", asked
-        finally:
-            running.shutdown()
-            thread.join()
+    @contextmanager
+    def run(status: int = 200, body: bytes = BODY, announced: int | None = None):
+        asked: list[str] = []
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self):
+                asked.append(self.path)
+                self.send_response(status)
+                self.send_header("Content-Length", str(len(body) if announced is None else announced))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *arguments):
+                pass
+
+        with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as running:
+            thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
+            thread.start()
+            monkeypatch.setattr(fetching, "RAW", f"http://127.0.0.1:{running.server_address[1]}")
+            try:
+                yield asked
+            finally:
+                running.shutdown()
+                thread.join()
+
+    return run
+
+
+def get(key: str, out: Path, mirror: Path | None = None):
+    return fetching.fetch(key, mirror, out, quiet=True)
 
 
 def files_below(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.is_file()]
 
 
-def test_download_lands_whole_and_is_not_repeated(tmp_path):
-    out = tmp_path / "out"
-    with server() as (url, asked):
-        first = fetching.fetch("tri", downloads=out, base_url=url, quiet=True)
-        second = fetching.fetch("tri", downloads=out, base_url=url, quiet=True)
-    assert first.path == out / "some+where" / "data" / "a b.obj"
-    assert first.path.read_bytes() == BODY
-    assert asked == ["/some/where/abc/data/a%20b.obj"]
-    assert (first.origin, second.origin) == (url + asked[0], "already there")
+def mirror_with(folder: Path, files: dict[str, bytes]) -> Path:
+    folder.mkdir()
+    for path, data in files.items():
+        file = folder / "some+where" / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+    return folder
+
+
+def test_a_download_lands_whole_and_is_repeated_only_where_it_is_damaged(out, server):
+    with server() as asked:
+        first, second = get("tri", out), get("tri", out)
+        assert (first.origin, second.origin) == (fetching.RAW + asked[0], "already there")
+        assert asked == ["/some/where/abc/data/a%20b.obj"]
+        assert first.path == out / "some+where" / "data" / "a b.obj" and first.path.read_bytes() == BODY
+        first.path.write_bytes(BODY[:-1])
+        assert get("tri", out).path.read_bytes() == BODY and len(asked) == 2
     assert files_below(out) == [first.path]
 
 
-def test_damaged_download_is_fetched_again(tmp_path):
-    with server() as (url, asked):
-        path = fetching.fetch("tri", downloads=tmp_path, base_url=url, quiet=True).path
-        path.write_bytes(BODY[:-1])
-        fetching.fetch("tri", downloads=tmp_path, base_url=url, quiet=True)
-    assert path.read_bytes() == BODY and len(asked) == 2
-
-
-def test_archive_is_unpacked_beside_itself(tmp_path):
-    with server(body=ARCHIVE) as (url, asked):
-        path = fetching.fetch("packed", downloads=tmp_path / "out", base_url=url, quiet=True).path
+def test_an_archive_is_kept_and_unpacked_beside_itself(out, server):
+    with server(body=ARCHIVE) as asked:
+        path = get("packed", out).path
         path.unlink()
-        again = fetching.fetch("packed", downloads=tmp_path / "out", base_url=url, quiet=True)
-    assert path == tmp_path / "out" / "some+where" / "data" / "tri.ply"
-    assert again.path.read_bytes() == BODY
-    assert len(asked) == 1, "the kept archive serves the second time"
+        assert get("packed", out).path.read_bytes() == BODY
+        with pytest.raises(InputError, match="not the pinned one"):
+            get("another", out)
+    assert path == out / "some+where" / "data" / "tri.ply" and len(asked) == 1
 
 
 @pytest.mark.parametrize(
@@ -121,140 +138,124 @@ def test_archive_is_unpacked_beside_itself(tmp_path):
     [
         ({"status": 404}, "answers 404"),
         ({"status": 503}, "answers 503"),
-        ({"body": BODY[:1000], "announced": len(BODY)}, "ended after 1000 of|broke off"),
-        ({"body": BODY[:1000]}, "ended after 1000 of"),
+        ({"body": BODY[:1000], "announced": len(BODY)}, "broke off|not the pinned"),
+        ({"body": BODY[:1000]}, "is not the pinned file"),
         ({"body": b"x" * len(BODY)}, "is not the pinned file"),
-        ({"body": BODY + b"more"}, "a longer file found"),
-        ({"body": b""}, "ended after 0 of"),
+        ({"body": BODY + b"more"}, "is not the pinned file"),
+        ({"body": b""}, "is not the pinned file"),
     ],
 )
-def test_bad_answer_is_one_sentence_and_leaves_nothing(tmp_path, answer, words):
-    out = tmp_path / "out"
-    with server(**answer) as (url, _), pytest.raises(InputError, match=words) as caught:
-        fetching.fetch("tri", downloads=out, base_url=url, quiet=True)
-    assert "\n" not in str(caught.value) and "'tri'" in str(caught.value)
-    assert files_below(out) == []
+def test_a_bad_answer_is_one_sentence_and_leaves_nothing(out, server, answer, words):
+    with server(**answer), pytest.raises(InputError, match=words) as caught:
+        get("tri", out)
+    assert "\n" not in str(caught.value) and "'tri'" in str(caught.value) and files_below(out) == []
 
 
-def test_no_server_says_what_to_do(tmp_path):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound, not listening: connections are refused
-        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(fetching.Unreachable, match="cannot be reached.*--mirror"):
-            fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True)
-    assert not (tmp_path / "out").exists()
-
-
-def test_silent_server_times_out(tmp_path, monkeypatch):
+@pytest.mark.parametrize("listens", [False, True])
+def test_no_answer_says_what_to_do(out, monkeypatch, listens):
     monkeypatch.setattr(fetching, "TIMEOUT", 0.2)
-    with socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        listening.listen()
-        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
-        with pytest.raises(InputError, match="broke off|cannot be reached"):
-            fetching.fetch("tri", downloads=tmp_path, base_url=url, quiet=True)
-    assert not (tmp_path / "some+where").exists()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        if listens:
+            taken.listen()
+        monkeypatch.setattr(fetching, "RAW", f"http://127.0.0.1:{taken.getsockname()[1]}")
+        with pytest.raises(InputError, match="(broke off|cannot be reached).*--mirror") as caught:
+            get("tri", out)
+    assert isinstance(caught.value, fetching.Unreachable) != listens and files_below(out) == []
 
 
-def test_interrupted_copy_leaves_nothing(tmp_path, monkeypatch):
+def test_an_interrupted_copy_leaves_nothing(out, tmp_path, monkeypatch):
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fetching, "_write", interrupt)
-    with server() as (url, _), pytest.raises(KeyboardInterrupt):
-        fetching.fetch("tri", downloads=tmp_path / "out", base_url=url, quiet=True)
-    assert files_below(tmp_path / "out") == []
-
-
-def mirror_with(folder: Path, data: bytes) -> Path:
-    file = folder / "some+where" / "data" / "a b.obj"
-    file.parent.mkdir(parents=True)
-    file.write_bytes(data)
-    return folder
+    monkeypatch.setattr(fetching.shutil, "copyfile", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        get("tri", out, mirror_with(tmp_path / "mirror", {"data/a b.obj": BODY}))
+    assert files_below(out) == []
 
 
 def test_a_named_mirror_comes_before_that_of_the_environment(tmp_path, monkeypatch):
-    named, variable = (mirror_with(tmp_path / name, BODY) for name in ("named", "variable"))
+    named, variable = (
+        mirror_with(tmp_path / name, {"data/a b.obj": BODY}) for name in ("named", "variable")
+    )
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(variable))
-    assert fetching.fetch("tri", downloads=tmp_path / "2", quiet=True).origin == str(variable)
-    assert fetching.fetch("tri", mirror=named, downloads=tmp_path / "3", quiet=True).origin == str(named)
-    assert fetching.mesh_path("tri", downloads=tmp_path / "4").read_bytes() == BODY
+    assert get("tri", tmp_path / "2").origin == str(variable)
+    assert get("tri", tmp_path / "3", named).origin == str(named)
 
 
 @pytest.mark.parametrize(
-    "data, words",
-    [(None, "has no readable"), (BODY[:-3], "ended after"), (BODY[::-1], "not the pinned file")],
+    "data, words", [(None, "has no readable"), (BODY[:-3], "not the pinned"), (BODY[::-1], "not the pinned")]
 )
-def test_bad_mirror_file(tmp_path, data, words):
-    folder = tmp_path / "mirror"
-    folder.mkdir() if data is None else mirror_with(folder, data)
+def test_a_bad_file_of_a_mirror(tmp_path, out, data, words):
+    mirror = mirror_with(tmp_path / "mirror", {} if data is None else {"data/a b.obj": data})
     with pytest.raises(InputError, match=words):
-        fetching.mesh_path("tri", mirror=folder, downloads=tmp_path / "out")
-    assert files_below(tmp_path / "out") == []
+        get("tri", out, mirror)
+    assert files_below(out) == []
 
 
-def test_mirror_that_is_no_folder_and_key_that_cannot_be_had(tmp_path):
+def test_a_mirror_that_is_no_folder_and_a_place_that_cannot_be_written(tmp_path, out):
     with pytest.raises(InputError, match="is no folder"):
-        fetching.mesh_path("tri", mirror=tmp_path / "none", downloads=tmp_path)
-    with pytest.raises(InputError, match="cannot be had: nowhere to be had"):
-        fetching.mesh_path("gone", downloads=tmp_path)
-
-
-def test_folder_that_cannot_be_written(tmp_path):
-    (tmp_path / "out").write_text("a file where the folder should be")
+        get("tri", out, tmp_path / "none")
+    with pytest.raises(InputError, match="not obtainable: nowhere to be found"):
+        get("gone", out)
+    out.write_text("a file where the folder should be")
     with pytest.raises(InputError, match="cannot write"):
-        fetching.mesh_path("tri", mirror=mirror_with(tmp_path / "mirror", BODY), downloads=tmp_path / "out")
+        get("tri", out, mirror_with(tmp_path / "mirror", {"data/a b.obj": BODY}))
 
 
-def test_table_is_complete_and_pinned():
-    table = sources(TABLE)
-    assert {
-        "spot",
-        "bob",
-        "rocker-arm",
-        "fandisk",
-        "horse",
-        "armadillo",
-        "eight",
-        "cheburashka",
-        "eight-dense",
-        "cow",
-        "ogre",
-        "teapot",
-        "beast",
-        "max-planck",
-    } <= set(table)
-    for entry in table.values():
-        assert entry.role in ROLES and entry.key.replace("-", "").isalnum()
-        if entry.obtainable:
-            assert len(entry.commit) == 40 and len(entry.sha256) == 64 and entry.bytes > 0 and entry.licence
-            assert bool(entry.member) == bool(entry.member_sha256) == entry.path.endswith(".zip")
-    targets = [entry.relative_mesh_path for entry in table.values() if entry.obtainable]
-    assert len(set(targets)) == len(targets)
+def test_a_set_is_fetched_whole_or_says_what_is_missing(tmp_path, out, monkeypatch, capsys):
+    mirror = mirror_with(tmp_path / "mirror", VIEWS | {"views/b.png": b"sec0nd"})
+    monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(mirror))
+    words = ["fetch", "two", "--out", str(out), "--quiet"]
+    assert main(words) == 1 and "is not the pinned file of 'two/b.png'" in capsys.readouterr().err
+    (mirror / "some+where/views/b.png").write_bytes(VIEWS["views/b.png"])
+    assert main(words) == 0 and f"{out / 'some+where' / 'views'}  ({mirror})" in capsys.readouterr().out
+    assert {f"views/{path.name}": path.read_bytes() for path in files_below(out)} == VIEWS
+    assert main(words) == 0 and "already there" in capsys.readouterr().out
+    assert main(["fetch", "--list"]) == 0 and "  free\n" in capsys.readouterr().out
+
+
+def test_the_tables_are_complete_and_pinned(monkeypatch):
+    monkeypatch.undo()
+    needed = "spot bob rocker-arm fandisk horse armadillo eight cheburashka eight-dense cow ogre teapot beast"
+    meshes = fetching.sources()
+    assert {*needed.split(), "max-planck"} <= set(meshes)
+    assert {name: len(each.files) for name, each in photo_sets().items()} == {"castle": 11, "lego": 101}
+    obtainable = [entry for entry in meshes.values() if entry.obtainable]
+    for entry in obtainable + [file for each in photo_sets().values() for file in each.files]:
+        assert entry.role in ROLES and len(entry.commit) == 40 and len(entry.sha256) == 64 and entry.bytes > 0
+        assert bool(entry.member) == bool(entry.member_sha256) == entry.path.endswith(".zip")
+    assert all(each.licence for each in [*obtainable, *photo_sets().values()])
+    assert all(len({file.commit for file in each.files}) == 1 for each in photo_sets().values())
+    assert len({entry.relative_mesh_path for entry in obtainable}) == len(obtainable)
 
 
 @pytest.mark.parametrize(
-    "text, words",
+    "read, text, words",
     [
-        ("key,name\nspot,spot\n", "damaged"),
-        (HEADER + "a,a,b/c,d,e,f,many,CC0,used,,,\n", "damaged"),
-        (HEADER + "a,a,b/c,d,e,f,1,CC0,spare,,,\n", "unknown role"),
+        (sources, "key,name\nspot,spot\n", "line 2 of .* is damaged"),
+        (sources, HEADER + "a,a,b/c,d,e,f,many,CC0,used,,,\n", "line 2 of .* is damaged"),
+        (sources, HEADER + "a,a,b/c,d,e,f,1,CC0,spare,,,\n", "unknown role"),
+        (sources, None, "cannot read .*checkout"),
+        (photo_sets, PHOTO_HEADER + "a,b/c,d,e,f,many,g\n", "line 2 of .* is damaged"),
     ],
 )
-def test_damaged_table(tmp_path, text, words):
-    (tmp_path / "bad.csv").write_text(text)
+def test_a_damaged_table(tmp_path, read, text, words):
+    if text is not None:
+        (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(InputError, match=words):
-        sources(tmp_path / "bad.csv")
+        read(tmp_path / "bad.csv")
+    assert photo_sets(tmp_path / "none.csv") == {}
 
 
-def test_command_line(tmp_path, capsys, monkeypatch):
+def test_the_command_line(tmp_path, out, capsys, monkeypatch):
     monkeypatch.undo()  # the real table from here on
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(tmp_path))
     assert main(["fetch", "spott"]) == 2
     assert "no mesh is called 'spott'; known are spot" in capsys.readouterr().err
-    assert main(["fetch", "spot", "cow", "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    assert main(["fetch", "spot", "cow", "--out", str(out), "--quiet"]) == 1
     error = capsys.readouterr().err
     assert "spot: the mirror" in error and "2 of 2 meshes could not be fetched" in error
     assert main(["fetch", "--list"]) == 0
     listed = capsys.readouterr().out
-    assert all(key in listed for key in sources(TABLE)) and "  CC0-1.0" in listed
+    assert all(key in listed for key in fetching.sources()) and "  CC0-1.0" in listed

@@ -15,7 +15,7 @@ from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.scene import fetch as downloads
 from paper_artifact.scene.build import SceneConfig, build_scene
-from paper_artifact.scene.fetch import fetch_set, photo_sets, source, sources
+from paper_artifact.scene.fetch import photo_sets, source, sources
 from paper_artifact.scene.ground_truth import BACKGROUNDS
 from paper_artifact.scene.load import EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
@@ -62,8 +62,7 @@ def fetch(options: Fetch) -> int:
     failed = 0
     for key in keys:
         try:
-            get = fetch_set if key in photo_sets() else downloads.fetch
-            fetched = get(key, mirror=options.mirror, downloads=options.out, quiet=options.quiet)
+            fetched = downloads.fetch(key, mirror=options.mirror, downloads=options.out, quiet=options.quiet)
         except downloads.Unreachable:
             raise
         except InputError as error:

@@ -50,10 +50,11 @@ def cube() -> Mesh:
     return checked_mesh(box.vertices, box.faces, "cube", (1, 0, 1))
 
 
-def cylinder(segments: int = 96) -> Mesh:
+def cylinder() -> Mesh:
     """Return the closed cylinder of radius 1, height 2 along z: our choice, the paper prints no margin for
     it.
     """
+    segments = 96
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate(
@@ -74,8 +75,9 @@ def cylinder(segments: int = 96) -> Mesh:
     return checked_mesh(vertices, faces, "cylinder", (1, 0, 1))
 
 
-def torus(around: int = 192, tube: int = 72) -> Mesh:
+def torus() -> Mesh:
     """Return the torus with major radius 1 and tube radius .38, axis z (27,648 faces)."""
+    around, tube = 192, 72  # vertices
     phi = np.repeat(2 * np.pi * np.arange(around)[:, None] / around, tube, axis=1)
     theta = np.repeat(2 * np.pi * np.arange(tube)[None, :] / tube, around, axis=0)
     vertices = _torus_points(phi, theta, TORUS_TUBE).reshape(-1, 3)
@@ -98,7 +100,7 @@ def two_spheres() -> Mesh:
     )
 
 
-def double_torus(around: int = 160, tube: int = 36) -> Mesh:
+def double_torus() -> Mesh:
     """Return the boundary of the union of two tori, radii 1 and .30, centres (±1, 0, 0): genus 2, D = 5.318.
 
     The union is symmetric in x = 0, and its half x ≤ 0 is the torus at (-1, 0, 0) without the part at x > 0,
@@ -108,6 +110,7 @@ def double_torus(around: int = 160, tube: int = 36) -> Mesh:
     where the tube meets x = 0, and phi0 = 0 on the inner half. Vertices lie on the surface, the crease at x =
     0 is made of mesh edges.
     """
+    around, tube = 160, 36  # cells along a ring, along half a tube
     # Outer half in uniform steps of t, theta = pi/2·cos(t): dense at the crease's two tips, where phi0 grows
     # like sqrt(pi/2 - theta). Inner half in uniform steps of theta.
     outer = np.pi / 2 * np.cos(np.pi * np.arange(tube + 1) / tube)
