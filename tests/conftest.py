@@ -1,14 +1,11 @@
-"""Fixtures that more than one test file uses: the tiny scene, built once a session; the external meshes."""
+"""Fixtures that more than one test file uses: the tiny scene, built once; and what needs a network."""
 
 from __future__ import annotations
 
-import os
-
 import pytest
-import requests
 
 from paper_artifact.pipeline import prepare_scene
-from paper_artifact.scene.fetch import MIRROR_VARIABLE, RAW
+from paper_artifact.scene.fetch import Unreachable
 from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import tiny_config
 
@@ -27,14 +24,10 @@ def tiny_scene(tiny_results):
     return prepare_scene(tiny_config(), make_shape("sphere"), tiny_results / "scenes")
 
 
-@pytest.fixture(scope="session")
-def meshes():
-    """For tests that need external meshes: skips where no mirror is set and GitHub cannot be reached."""
-    if os.environ.get(MIRROR_VARIABLE):
-        return
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call():
+    """Skip a test that needs an external mesh where no mirror is set and GitHub cannot be reached."""
     try:
-        requests.head(RAW, timeout=10)  # reached, whatever it thinks of the address
-    except OSError:
-        pytest.skip(
-            f"external meshes: {RAW} cannot be reached, and {MIRROR_VARIABLE} names no folder"
-        )
+        return (yield)
+    except Unreachable as error:
+        pytest.skip(f"external meshes: {error}")

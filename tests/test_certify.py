@@ -145,12 +145,10 @@ def candidate(key: str) -> disposition.Disposition:
 
 
 @pytest.mark.parametrize("key", [key for key in disposition.candidates() if key != "max-planck"])
-@pytest.mark.usefixtures("meshes")
 def test_the_papers_dispositions(key):
     assert candidate(key).agrees, candidate(key).measured
 
 
-@pytest.mark.usefixtures("meshes")
 def test_the_measured_details_of_the_failures():
     certificate = {key: candidate(key).certificate for key in ("ogre", "teapot", "beast", "cow", "horse")}
     assert (

@@ -230,7 +230,6 @@ def test_the_pot_is_a_shape_like_any_other(monkeypatch):
     assert mesh.name == "pot" and mesh.betti == (1, 6, 1)
 
 
-@pytest.mark.usefixtures("meshes")
 def test_the_teapot_becomes_one_closed_body_with_its_handle(tmp_path, capsys):
     path = tmp_path / "teapot.ply"
     assert cli.main(["ingest", "teapot", "--out", str(path), "--json", str(tmp_path / "t.json")]) == 0

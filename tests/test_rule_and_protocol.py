@@ -72,15 +72,12 @@ def choice(decision: Decision) -> tuple[int | None, int | None, tuple[int, ...]]
 
 
 @pytest.mark.parametrize("row", SHAPES, ids=lambda row: row.name)
-def test_the_rule_chooses_the_protocol(row, request):
-    if row.name not in (*ANALYTIC, "pot"):
-        request.getfixturevalue("meshes")
+def test_the_rule_chooses_the_protocol(row):
     decision = decided(row, 0)
     assert choice(decision) == DIFFERENT.get(row.name, protocol(row))
     assert (choice(decision) != protocol(row)) == (row.name in DIFFERENT)
 
 
-@pytest.mark.usefixtures("meshes")
 def test_bob_differs_by_the_sampling_seed_alone():
     bob = next(row for row in SHAPES if row.name == "bob")
     assert choice(decided(bob, bob.bundle_seed)) == protocol(bob) == (1, 2048, (1, 2))
