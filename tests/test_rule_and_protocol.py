@@ -14,7 +14,6 @@ from paper_artifact.catalogue import SHAPES, Shape
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.evaluate.staircase import KEPT
 from paper_artifact.results import measured
-from paper_artifact.scene.shapes import SHAPES as ANALYTIC
 from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.staircase import staircase
 
