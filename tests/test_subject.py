@@ -59,6 +59,18 @@ def test_the_ground_is_found_from_either_side_and_again():
     assert np.array_equal(subject.up, again.up) and subject.lowest == again.lowest
 
 
+def test_a_wall_a_trunk_and_a_floating_thing_have_no_ground():
+    random, cameras = stream(2, "test"), list(ring())
+    thing = MIDDLE + 0.3 * random.normal(size=(300, 3))
+    wall = np.column_stack([np.full(500, MIDDLE[0] - 1), MIDDLE[1:] + 2 * random.random((500, 2)) - [1, 0.8]])
+    angle, height = 2 * np.pi * random.random(500), 2 * random.random(500) - 1
+    trunk = MIDDLE + np.column_stack([0.2 * np.cos(angle), 0.2 * np.sin(angle), height])
+    for cloud in (thing, np.concatenate([thing, wall]), trunk):
+        assert subject_of(cameras, cloud).lowest == -np.inf
+    with_table = np.concatenate([table(), *[wall] * 2])
+    assert subject_of(cameras, with_table).lowest == pytest.approx(-0.3 + 0.03 * WIDTH, abs=0.01)
+
+
 def test_cameras_without_a_subject_are_refused():
     parallel = [look_at(np.array([x, 0.0, 0.0]), np.array([x, 5.0, 0.0]), 100) for x in range(5)]
     for cameras, cloud, words, answer in (

@@ -99,13 +99,14 @@ class Solidify(Options):
     soup SOUP|MESH: a trained soup, results/soups/<run>.npz, or a mesh: a double sheet, a scan with holes …
     out MESH: the solid: .ply or .glb, colours per vertex
     betti B0,B1,B2: wanted components, loops, voids: 1,2,1 for a torus, 1,0,0 for an open bowl (its solid is
-        a thick shell); default: the target's, without one the numbers that last over most offsets
+        a thick shell); default: the target's, without one the numbers that last over most offsets, at least
+        over a third of their range
     offsets ε,ε…: offsets to try, as fractions of the soup's diagonal (default: .004 to .02 in eight steps)
     cells: grid cells per offset
     target SHAPE|MESH: a ground truth (shape, key of a fetched mesh, or file): its certificate says what is
         wanted, and the distance to it is printed
     scene DIR: the scene the soup was trained on: keeps what lies in the ball that all cameras look at,
-        above the plane that most of the cloud lies on
+        above the ground (a plane under it that holds a tenth of the cloud there), where there is one
     radius R: of the ball, in half widths of the picture there (default: {RADIUS:g})
     ground H: what lies lower than this above the plane is taken away, in the same unit; 0 keeps the ground
         (default: {GROUND:g})
@@ -191,7 +192,9 @@ def _of_the_subject(soup: Soup, frame: Frame, options: Solidify) -> Soup:
         GROUND if options.ground is None else options.ground,
     )
     kept = subject.holds(frame.outward(soup.vertices.numpy()).mean(1))
-    ground = "with the ground" if subject.lowest == float("-inf") else "without the ground"
+    ground = "without the ground"
+    if subject.lowest == float("-inf"):
+        ground = "with the ground" if options.ground == 0 else "and there is no ground: no plane lies under it"
     print(f"{kept.sum()} of {len(kept)} triangles are of what the cameras look at, {ground}")
     if not kept.any():
         raise InputError(
@@ -217,7 +220,13 @@ def offset_table(solid: SoupSolid) -> str:
     heads = ("ε / D", "components", "loops", "voids", "genus", "inside", "triangles", "")
     kind = "a body" if solid.wanted.body else "a thick shell around an open surface"
     text = f"{betti_text(solid.wanted.betti)}, {kind}"
-    if solid.rung is None:
+    if solid.rung is None and solid.lasting is not None:
+        said = (
+            f"no Betti numbers were stated, and none last over a third of the ladder (at most {text}, over "
+            f"{100 * solid.lasting:.0f} %): no mesh is written, since its topology would be chance; state "
+            "--betti B0,B1,B2 (1,0,1 for a ball, 1,2,1 for a ring), or train with a larger budget"
+        )
+    elif solid.rung is None:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
         said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train further"
         if solid.hollow:
@@ -230,15 +239,14 @@ def offset_table(solid: SoupSolid) -> str:
                 + ("try smaller offsets, which enclose more" if most.inside > 0 else f"try --offsets {tried}")
                 + f", or take the same surface as a thick shell: --betti {b0},{b1 // 2},0"
             )
-    elif solid.stated:
+    elif solid.lasting is None:
         said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}"
-    elif sum(rung.betti == solid.wanted.betti for rung in solid.rungs) == 1:
-        said = (
-            f"nothing was wanted, and no Betti numbers last over two offsets: ε = {solid.rung.offset:g} D is "
-            f"taken; {text}, says nothing of what was photographed"
-        )
     else:
-        said = f"nothing was wanted; {text}, lasts longest, from ε = {solid.rung.offset:g} D on"
+        said = (
+            f"no Betti numbers were stated; {text}, lasts over {100 * solid.lasting:.0f} % of the ladder, from "
+            f"ε = {solid.rung.offset:g} D on. Its topology is a guess: good to look at and to measure roughly; "
+            "state --betti where holes and handles matter"
+        )
     return f"{to_string(heads, rows)}\n{said}"
 
 

@@ -41,6 +41,7 @@ from paper_artifact.soup.state import Soup
 
 FORMATS = (".ply", ".glb")
 GREY = 0.7  # sRGB of a solid of a mesh
+LASTING = 1 / 3  # share of the ladder that Betti numbers must last over, unless they were stated
 SAMPLES = 20_000  # per surface, as an evaluation has
 
 
@@ -50,7 +51,8 @@ class SoupSolid:
 
     rungs: tuple[Rung, ...]  # smallest offset first
     wanted: Wanted
-    stated: bool  # whether somebody wanted it; False: it is the plateau of the rungs
+    # share of the ladder, in log ε, that `wanted` lasts over; None: it was stated
+    lasting: float | None
     diagonal: float  # D of the opaque soup, the frame's units; offsets are fractions of it
     rung: Rung | None = None  # the one taken; None: no offset gives the wanted topology
     mesh: Mesh | None = None  # the solid, the frame's units, wound outwards
@@ -82,7 +84,7 @@ class SoupSolid:
         return {
             "wanted": list(self.wanted.betti),
             "body": self.wanted.body,
-            "stated": self.stated,
+            "stated": self.lasting is None,
             "diagonal": math.ldexp(self.diagonal, self.frame.exponent),
             "offsets": [rung.to_json() for rung in self.rungs],
             "solid": found or None,
@@ -108,8 +110,9 @@ def solidify_soup(
 ) -> SoupSolid:
     """Return the SoupSolid of a trained soup.
 
-    betti: of the surface, see `wanted_of`; None takes the plateau. offsets: fractions of the opaque soup's
-    diagonal; cells: grid cells per offset; progress, enough: see `climb`; frame: of the soup's coordinates.
+    betti: of the surface, see `wanted_of`; None takes the plateau, if it lasts over a third of the ladder.
+    offsets: fractions of the opaque soup's diagonal; cells: grid cells per offset; progress, enough: see
+    `climb`; frame: of the soup's coordinates.
     Raises InputError for what cannot be wanted, bad offsets, and as `opaque_mesh` does.
     """
     shown = soup_triangles(soup).visible()
@@ -140,11 +143,13 @@ def _solid_of(raw, colours, betti, offsets, cells, name, progress, enough, frame
     wanted = None if betti is None else wanted_of(betti)
     rungs = climb(raw, offsets, cells, progress, enough)
     if wanted is None:
-        longest = plateau(rungs)
+        longest, share = plateau(rungs)
         body = any(rung.meets(Wanted(longest, True)) for rung in rungs)
-        result = SoupSolid(rungs, Wanted(longest, body), False, raw.diagonal, frame=frame)
+        result = SoupSolid(rungs, Wanted(longest, body), share, raw.diagonal, frame=frame)
+        if share < LASTING:
+            return result
     else:
-        result = SoupSolid(rungs, wanted, True, raw.diagonal, frame=frame)
+        result = SoupSolid(rungs, wanted, None, raw.diagonal, frame=frame)
     for rung, shell in shells(raw, rungs, result.wanted, cells):
         back = retract(shell, raw.vertices[raw.faces], rung.offset * raw.diagonal * (1 + 1 / cells))
         certificate = certify_mesh(back.mesh)

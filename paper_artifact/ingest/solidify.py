@@ -283,9 +283,10 @@ def climb(
     return tuple(reversed(rungs))
 
 
-def plateau(rungs: Sequence[Rung]) -> Betti:
+def plateau(rungs: Sequence[Rung]) -> tuple[Betti, float]:
     """Return the Betti numbers that last longest, in log ε, on consecutive rungs with an inside (on any,
-    where none has one); of equally long ones those at the smaller offsets."""
+    where none has one), and the share of the ladder that they last over, 1 for a single rung; of equally long
+    ones those at the smaller offsets."""
     enclosed = [rung.inside >= INSIDE for rung in rungs]
     edges = np.log([rung.offset for rung in rungs])
     best, longest, start = rungs[0].betti, -1.0, 0
@@ -294,7 +295,7 @@ def plateau(rungs: Sequence[Rung]) -> Betti:
             start = i
         if edges[i] - edges[start] > longest and (enclosed[i] or not any(enclosed)):
             best, longest = rung.betti, edges[i] - edges[start]
-    return best
+    return best, float(longest / (edges[-1] - edges[0])) if len(rungs) > 1 else 1.0
 
 
 def shells(

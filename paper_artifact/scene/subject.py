@@ -23,6 +23,9 @@ RADIUS = 0.6  # of the ball, in half widths of the picture at the subject's dist
 GROUND = 0.03  # what lies lower than this above the plane is ground, in the same unit; 0 keeps the ground
 PLANE = 0.01  # points this near to a plane are on it, in the same unit
 DRAWS = 1000  # planes through three points that are tried
+ON = 0.1  # share of the points around the subject that a ground holds at least
+BELOW = 0.15  # share of them that may lie under it: nothing is seen through a ground, some beside it
+TILT = 0.7  # cosine between the ground's normal and the pictures' mean up, at least
 COARSE, FINE = 48, 144  # cells per side of the box that is carved: to find the hull, then to find its skin
 
 
@@ -33,7 +36,7 @@ class Subject:
     centre: np.ndarray  # (3,) float64: the point nearest to all optical axes
     radius: float
     up: np.ndarray  # (3,) float64 unit normal of the ground, towards the cameras
-    lowest: float  # points with up·x below this are ground; -inf: the ground is kept
+    lowest: float  # points with up·x below this are ground; -inf: the ground is kept, or there is none
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Return for points (…,3) whether each belongs to the subject, (…) bool."""
@@ -54,7 +57,9 @@ def subject_of(
     """Return what the cameras look at; cloud (P,3) is the SfM cloud, radius and ground are in half widths of
     the picture at the subject's distance (means over the cameras).
 
-    Raises InputError for a radius that is not positive, a negative ground, or cameras that look at no common
+    Ground is a plane that holds a tenth of the points around the subject, has the cameras above it and hardly
+    a point below, and whose normal is near the pictures' mean up (or down, as all may lie on their head); a wall or a trunk is
+    none. Raises InputError for a radius that is not positive, a negative ground, or cameras that look at no common
     point.
     """
     if not radius > 0 or not ground >= 0:
@@ -77,16 +82,22 @@ def subject_of(
     up, lowest = np.array([0.0, 0.0, 1.0]), -np.inf
     if ground > 0:
         near = cloud[np.linalg.norm(cloud - centre, axis=1) <= width]
-        up, height = _plane(near.astype(np.float64), PLANE * width)
-        if (places @ up).mean() < height:
-            up, height = -up, -height
-        lowest = height + ground * width
+        mean_up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
+        plane = _ground(near.astype(np.float64), PLANE * width, places.mean(0), mean_up)
+        if plane is not None:
+            up, lowest = plane[0], plane[1] + ground * width
     return Subject(centre, float(radius * width), up, float(lowest))
 
 
-def _plane(points: np.ndarray, near: float) -> tuple[np.ndarray, float]:
-    """Return normal n (3,) and height h of the plane n·x = h with the most of `points` (P,3) within `near`
-    (RANSAC, Fischler and Bolles 1981; then least squares over those)."""
+def _ground(
+    points: np.ndarray, near: float, above: np.ndarray, mean_up: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    """Return normal n (3,), towards the point `above`, and height h of the plane n·x = h that is a ground
+    (see `subject_of`) with the most of `points` (P,3) within `near`; None where no plane is one.
+
+    RANSAC (Fischler and Bolles 1981), then least squares over those. mean_up (3,): mean of unit vectors;
+    where they cancel out, as in pictures taken from above, no direction is asked for.
+    """
     if len(points) < 3:
         raise InputError(
             f"the SfM cloud has {len(points)} points around what the cameras look at, too few for a ground "
@@ -94,17 +105,25 @@ def _plane(points: np.ndarray, near: float) -> tuple[np.ndarray, float]:
         )
     random = stream(0, "ground plane")
     triples = points[random.integers(0, len(points), (DRAWS, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    sizes = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, sizes, out=np.zeros_like(normals), where=sizes > 0)
-    heights = np.einsum("ij,ij->i", normals, triples[:, 0])
-    counts = [
-        int((np.abs(points @ normal - height) <= near).sum()) if normal.any() else 0
-        for normal, height in zip(normals, heights, strict=True)
-    ]
-    best = int(np.argmax(counts))
-    on = points[np.abs(points @ normals[best] - heights[best]) <= near]
+    best, most = None, ON * len(points)
+    known_up = np.linalg.norm(mean_up) > 0.5
+    for first, second, third in triples:
+        normal = np.cross(second - first, third - first)
+        if not normal.any():
+            continue
+        normal = normal / np.linalg.norm(normal)
+        normal = normal if normal @ (above - first) > 0 else -normal
+        if known_up and abs(normal @ mean_up) < TILT * np.linalg.norm(mean_up):
+            continue
+        height = points @ normal - normal @ first
+        on = np.abs(height) <= near
+        if on.sum() > most and (height < -2 * near).mean() <= BELOW:
+            best, most = on, on.sum()
+    if best is None:
+        return None
+    on = points[best]
     normal = np.linalg.svd(on - on.mean(0), full_matrices=False)[2][2]
+    normal = normal if normal @ (above - on.mean(0)) > 0 else -normal
     return normal, float(normal @ on.mean(0))
 
 
