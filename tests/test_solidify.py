@@ -14,6 +14,7 @@ import trimesh
 from paper_artifact import cli
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli.solids import offset_table
+from paper_artifact.cli.solids import offset_table
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import (
     SoupSolid,
@@ -110,6 +111,15 @@ def test_nothing_wanted_takes_what_lasts(surface, betti, body):
     solid = solidify_soup(soup_of(*surface), None, OFFSETS)
     assert (solid.wanted.betti, solid.wanted.body) == (betti, body) and solid.lasting > 0.9
     assert solid.certificate.passed and solid.certificate.betti == betti and solid.crossings == 0
+
+
+def test_nothing_is_written_where_no_numbers_last():
+    """A chain of balls whose gaps close one by one: another number of components at every offset."""
+    places = np.cumsum([0.0, 2.05, 2.1, 2.15, 2.2, 2.25, 2.3])
+    chain = shapes.joined(*(shapes.ball(centre=(each, 0, 0)) for each in places))
+    solid = solidify_soup(soup_of(*chain), None, (0.002, 0.0026, 0.0041, 0.0056, 0.0071, 0.0087), cells=1)
+    assert solid.lasting < 1 / 3 and solid.mesh is None and solid.rung is None
+    assert "no Betti numbers were stated, and none last over a third" in offset_table(solid)
 
 
 def test_a_bowl_is_no_ball_though_both_shells_have_the_same_betti_numbers():
@@ -226,9 +236,9 @@ def test_the_verb(tmp_path: Path, capsys):
     report = json.loads(stored.read_text())
     assert report["solid"]["certificate"]["genus"] == 1 and report["distance"]["chamfer"] < 0.02
     assert cli.main([*words, "--offsets", "0.03"]) == 0
-    assert "no Betti numbers last over two offsets: ε = 0.03 D" in capsys.readouterr().out
+    assert "one offset was tried: 1 component, 2 loops, 1 void, a body, says nothing" in capsys.readouterr().out
     assert cli.main([*words, "--offsets", "0.025,0.03"]) == 0
-    lasting = "nothing was wanted; 1 component, 2 loops, 1 void, a body, lasts longest"
+    lasting = "1 component, 2 loops, 1 void, a body, lasts over 100 % of the ladder, from ε = 0.025 D"
     assert lasting in capsys.readouterr().out
     out.unlink()
     assert cli.main([*words, "--betti", "1,4,1", "--offsets", "0.03"]) == 1

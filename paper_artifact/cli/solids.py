@@ -241,6 +241,8 @@ def offset_table(solid: SoupSolid) -> str:
             )
     elif solid.lasting is None:
         said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}"
+    elif len(solid.rungs) == 1:
+        said = f"no Betti numbers were stated and one offset was tried: {text}, says nothing of the subject"
     else:
         said = (
             f"no Betti numbers were stated; {text}, lasts over {100 * solid.lasting:.0f} % of the ladder, from "
