@@ -41,6 +41,10 @@ VERBS: dict[str, tuple[str, str]] = {  # name: (module.function in this folder, 
         "scenes.photos",
         "register photographs (structure from motion) and make a COLMAP scene of them",
     ),
+    "reconstruct": (
+        "reconstruct.reconstruct",
+        "photos, train, export and solidify in one: from photographs to a certified mesh",
+    ),
     "scene": (
         "scenes.scene",
         "make a COLMAP scene (views, cameras, SfM cloud) from a named shape or a mesh file",

@@ -112,11 +112,14 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     return replace(config, loss=replace(loss, samples=decision.samples, dimensions=decision.dimensions))
 
 
-def train(options: Train) -> int:
-    """Train (or find the record) and print the result. Returns 0."""
+def trained(options: Train) -> tuple[dict, Path, Path, bool]:
+    """Return (record, its path, its soup's path, whether anything ran) of what is asked for.
+
+    Raises InputError also for a record that contradicts --strict.
+    """
     import torch
 
-    from paper_artifact.pipeline import audit_remarks, closing_notes, results_of
+    from paper_artifact.pipeline import audit_remarks, results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
@@ -139,22 +142,29 @@ def train(options: Train) -> int:
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
-    contradicted, notes = (audit_remarks(record, kind) for kind in ("warnings", "notes"))
+    contradicted = audit_remarks(record, "warnings")
     if contradicted and options.strict:  # of a run that is recorded, or was resumed behind its audit
         raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
-    if not line.seen:
+    done = config_of(record)
+    results = options.results or results_of(done)
+    path = record_path(done, results / "runs", record["defaults"])
+    return record, path, results / "soups" / f"{path.stem}.npz", line.seen
+
+
+def train(options: Train) -> int:
+    """Train (or find the record) and print the result. Returns 0."""
+    from paper_artifact.pipeline import audit_remarks, closing_notes
+
+    record, path, soup, ran = trained(options)
+    if not ran:
         print("nothing ran: the record exists already (--again trains anew)")
-    print(_summary(record))
-    for each in contradicted:
+    print(summary(record))
+    for each in audit_remarks(record, "warnings"):
         print(f"warning: {each}")
-    for each in notes:
+    for each in audit_remarks(record, "notes"):
         print(f"note, when the loss set in: {each}")
     for each in closing_notes(record):
         print(f"note, at the end: {each}")
-    trained = config_of(record)
-    results = options.results or results_of(trained)
-    path = record_path(trained, results / "runs", record["defaults"])
-    soup = results / "soups" / f"{path.stem}.npz"
     print(f"record: {path}")
     if not soup.is_file():
         print(f"warning: the soup {soup} is gone; --again trains it anew", file=sys.stderr)
@@ -168,7 +178,7 @@ def train(options: Train) -> int:
     return 0
 
 
-def _summary(record: dict) -> str:
+def summary(record: dict) -> str:
     """Return a record's main numbers, one line."""
     tails, images = record["tails"], record["images"]
     parts = [f"{record['config']['shape']} {record['config']['condition']} seed {record['config']['seed']}"]

@@ -12,6 +12,8 @@ from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.mesh import load_mesh
+from paper_artifact.photos.pictures import FRAMES  # noqa: F401, for the help
+from paper_artifact.photos.register import Registered
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.scene import fetch as downloads
 from paper_artifact.scene.build import SceneConfig, build_scene
@@ -101,8 +103,9 @@ def _listed() -> list[tuple[str, str, str, str]]:
 class Photos(Options):
     """Options of `photos`.
 
-    photographs DIR: the folder that holds the photographs
+    photographs DIR|VIDEO: the folder that holds the photographs, or a video file
     out SCENE: the scene's folder
+    every K: of a video, the sharpest of every K frames (default: about {FRAMES} frames of all)
     size: longest side of the scene's images, pixels
     features: longest side of the pictures that features are found on, pixels: more finds more points and
         takes longer
@@ -111,6 +114,7 @@ class Photos(Options):
 
     photographs: Positional[Source]
     out: Path
+    every: Annotated[int | None, 1] = None
     size: Annotated[int, 64, 16384] = PhotosConfig.size
     features: Annotated[int, 64, 16384] = PhotosConfig.features
     keep_exposure: bool = False
@@ -121,19 +125,24 @@ def photos(options: Photos) -> int:
     found = photographs_scene(
         Path(options.photographs),
         options.out,
-        PhotosConfig(options.size, options.features, not options.keep_exposure),
+        PhotosConfig(options.size, options.features, not options.keep_exposure, options.every),
         progress=not options.quiet,
         tell=lambda text: print(f"warning: {text}", file=sys.stderr),
     )
-    print(
-        f"{found.folder}: {len(found.names)} photographs registered, {found.points} points, "
-        f"mean reprojection error {found.error:.2f} pixels, {found.track:.1f} photographs a point"
-    )
+    print(f"{found.folder}: {registered_text(found)}")
     if not options.keep_exposure:
         spread = max(found.exposures.values()) / min(found.exposures.values())
         print(f"exposures: the longest is {spread:.2f} times the shortest; all are made equal")
     print(next_command("train", "--scene", found.folder, "--set", "budget=5000"))
     return 0
+
+
+def registered_text(found: Registered) -> str:
+    """Return what structure from motion found, in one line."""
+    return (
+        f"{len(found.names)} photographs registered, {found.points} points, "
+        f"mean reprojection error {found.error:.2f} pixels, {found.track:.1f} photographs a point"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from paper_artifact.certify.certificate import certify_mesh
+from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.cli.bars import bar, stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, usage_checked
 from paper_artifact.cli.output import next_command, to_string
@@ -130,9 +130,9 @@ def solidify(options: Solidify) -> tuple[int, dict]:
     and what --json writes."""
     with usage_checked():
         check_format(options.out)
-        asked = OFFSETS if options.offsets is None else _numbers(options.offsets, float, "--offsets")
+        asked = OFFSETS if options.offsets is None else numbers(options.offsets, float, "--offsets")
         offsets = check_ladder(asked, options.cells)
-        betti = None if options.betti is None else _numbers(options.betti, int, "--betti")
+        betti = None if options.betti is None else numbers(options.betti, int, "--betti")
         if betti is not None:
             wanted_of(betti)
         if options.scene is None and (options.radius is not None or options.ground is not None):
@@ -142,18 +142,13 @@ def solidify(options: Solidify) -> tuple[int, dict]:
     target = None if options.target is None else find_mesh(options.target)
     if target is not None and betti is None:
         betti = certify_mesh(target, with_boundary=True).betti
-    solid = _solid_of(options, betti, offsets)
+    solid = solid_of(options, betti, offsets)
     report = solid.to_json()
     print(offset_table(solid))
     if solid.mesh is None:
         return 1, report
     certificate = write_solid(options.out, solid)
-    meeting = {0: "no triangle meets another", None: "whether triangles meet is unknown"}
-    print(
-        f"{certificate.verdict}: {certificate.kind}, {betti_text(certificate.betti)}, "
-        f"{certificate.vertices} vertices, {certificate.faces} triangles; "
-        + meeting.get(solid.crossings, f"{solid.crossings} triangles may meet")
-    )
+    print(written_text(solid, certificate))
     if target is not None:
         report["distance"] = distances_to(placed(solid.mesh, solid.frame), target)
         print(
@@ -165,7 +160,17 @@ def solidify(options: Solidify) -> tuple[int, dict]:
     return 0, report
 
 
-def _solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...]) -> SoupSolid:
+def written_text(solid: SoupSolid, certificate: Certificate) -> str:
+    """Return what a written solid is, in one line."""
+    meeting = {0: "no triangle meets another", None: "whether triangles meet is unknown"}
+    return (
+        f"{certificate.verdict}: {certificate.kind}, {betti_text(certificate.betti)}, "
+        f"{certificate.vertices} vertices, {certificate.faces} triangles; "
+        + meeting.get(solid.crossings, f"{solid.crossings} triangles may meet")
+    )
+
+
+def solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...]) -> SoupSolid:
     """Return what the ladder of offsets gives of the soup or the mesh."""
     file = Path(options.soup)
     if file.suffix == ".npz":
@@ -194,7 +199,9 @@ def _of_the_subject(soup: Soup, frame: Frame, options: Solidify) -> Soup:
     kept = subject.holds(frame.outward(soup.vertices.numpy()).mean(1))
     ground = "without the ground"
     if subject.lowest == float("-inf"):
-        ground = "with the ground" if options.ground == 0 else "and there is no ground: no plane lies under it"
+        ground = (
+            "with the ground" if options.ground == 0 else "and there is no ground: no plane lies under it"
+        )
     print(f"{kept.sum()} of {len(kept)} triangles are of what the cameras look at, {ground}")
     if not kept.any():
         raise InputError(
@@ -245,9 +252,9 @@ def offset_table(solid: SoupSolid) -> str:
         said = f"no Betti numbers were stated and one offset was tried: {text}, says nothing of the subject"
     else:
         said = (
-            f"no Betti numbers were stated; {text}, lasts over {100 * solid.lasting:.0f} % of the ladder, from "
-            f"ε = {solid.rung.offset:g} D on. Its topology is a guess: good to look at and to measure roughly; "
-            "state --betti where holes and handles matter"
+            f"no Betti numbers were stated; {text}, lasts over {100 * solid.lasting:.0f} % of the ladder, "
+            f"from ε = {solid.rung.offset:g} D on. Its topology is a guess: good to look at and to measure "
+            "roughly; state --betti where holes and handles matter"
         )
     return f"{to_string(heads, rows)}\n{said}"
 
@@ -263,7 +270,7 @@ def _others(solid: SoupSolid) -> list[float]:
     return [solid.rungs[-1].offset * factor for factor in (1.25, 1.5, 2, 2.5, 3)]
 
 
-def _numbers(text: str, kind: type, name: str) -> tuple:
+def numbers(text: str, kind: type, name: str) -> tuple:
     try:
         return tuple(kind(word) for word in text.split(","))
     except ValueError:

@@ -16,11 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import ExifTags, Image
+from scipy.ndimage import laplace
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.scene.images import has_transparency, opened, sizes_told
 
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+FRAMES = 60  # of a video that are taken about, unless it is said how many
+SHARPNESS_WIDTH = 320  # pixels of the frames that sharpness is compared on
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 QUALITY = 95  # of JPEG files written between photograph and scene
@@ -51,7 +55,9 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"no folder at {folder}; give the folder that holds the photographs")
+        raise InputError(
+            f"no folder at {folder}; give the folder that holds the photographs, or a video file"
+        )
     files = [
         each
         for each in sorted(folder.rglob("*"))
@@ -72,6 +78,66 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
             f"at least {LEAST} are needed, 20 to 100 are good"
         )
     return photographs
+
+
+def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -> int:
+    """Write the sharpest of every `every` frames of a video to the new folder, as JPEG; return `every`.
+
+    None: as many as leave about `FRAMES`. Sharp: the variance of the Laplacian of its grey picture. Frames
+    are turned as the file says. PyAV decodes. Raises InputError where PyAV is missing, the file is no video
+    or is cut off before three frames, or `every` leaves fewer than three.
+    """
+    try:
+        import av
+    except ImportError as error:
+        raise InputError(
+            "reading a video needs PyAV, which is not installed here; `pip install av` or "
+            "`pip install '.[photos]'`"
+        ) from error
+    folder.mkdir(parents=True)
+    try:
+        with av.open(video) as container:
+            if not container.streams.video:
+                raise InputError(
+                    f"{video} has no picture, only sound; give a video, or a folder of photographs"
+                )
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            total = stream.frames or int(float((container.duration or 0) / 1e6 * (stream.average_rate or 0)))
+            every = every or max(1, total // FRAMES)
+            best, taken, seen = -1.0, None, 0
+            for seen, frame in enumerate(
+                tqdm(container.decode(stream), "frames", total or None, unit="frame", disable=not progress), 1
+            ):
+                height = max(8, SHARPNESS_WIDTH * frame.height // frame.width)
+                grey = frame.reformat(SHARPNESS_WIDTH, height, "gray").to_ndarray().astype(np.float64)
+                if (sharp := float(laplace(grey).var())) > best:
+                    best, taken = sharp, frame
+                if seen % every == 0 and taken is not None:
+                    _write_frame(taken, folder, seen)
+                    best, taken = -1.0, None
+            if taken is not None and seen % every > every // 2:
+                _write_frame(taken, folder, seen)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        if isinstance(error, OSError) and not isinstance(error, av.FFmpegError):
+            raise
+        raise InputError(
+            f"{video} is not a video that can be decoded ({error}); convert it to MP4 (H.264)"
+        ) from error
+    written = len(list(folder.iterdir()))
+    if written < LEAST:
+        raise InputError(
+            f"one of every {every} frames of {video} gives {written}, at least {LEAST} are needed and 20 to "
+            f"100 are good: it has {seen} frames; give a smaller --every"
+        )
+    return every
+
+
+def _write_frame(frame: Any, folder: Path, number: int) -> None:
+    picture = frame.to_image()
+    if frame.rotation:
+        picture = picture.rotate(frame.rotation, expand=True)  # both counter-clockwise
+    picture.save(folder / f"frame_{number:06d}.jpg", quality=QUALITY, subsampling=0)
 
 
 class Prepared(NamedTuple):

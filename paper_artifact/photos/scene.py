@@ -21,7 +21,16 @@ from scipy.spatial.transform import Rotation
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
-from paper_artifact.photos.pictures import LEVEL, QUALITY, even_out, photographs_in, prepared, size_doubts
+from paper_artifact.photos.pictures import (
+    LEVEL,
+    QUALITY,
+    VIDEOS,
+    even_out,
+    photographs_in,
+    prepared,
+    size_doubts,
+    video_frames,
+)
 from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
@@ -41,12 +50,21 @@ class PhotosConfig:
     size: int = 800  # longest side of the scene's images, pixels
     features: int = 1600  # longest side of the pictures that features are found on, pixels
     even: bool = True  # bring the photographs to one exposure, see `photos.pictures`
+    every: int | None = None  # of a video: one of this many frames, None: about `pictures.FRAMES` of all
 
     def __post_init__(self) -> None:
         for name in ("size", "features"):
             value = getattr(self, name)
             if not 64 <= value <= 16384:
                 raise InputError(f"--{name} must be from 64 to 16384 pixels, got {value}")
+        if self.every is not None and self.every < 1:
+            raise InputError(f"--every must be at least 1, got {self.every}")
+
+    def key(self, digests: Mapping[str, str]) -> str:
+        """Return the digest of a scene that is made of files with these digests, by name."""
+        said = {name: value for name, value in asdict(self).items() if value is not None}
+        content = {"format": FORMAT, "config": said, "photographs": digests}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def photographs_scene(
@@ -56,7 +74,8 @@ def photographs_scene(
     progress: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Registered:
-    """Make the COLMAP scene of the photographs in `source` at `folder`, and return what was found.
+    """Make the COLMAP scene of the photographs in `source`, a folder or a video, at `folder`; return what was
+    found.
 
     Contents: images/, sparse/0/, scene.json (background: `empty_colour`; radius; what was registered). All or
     nothing; a folder that holds the scene of these very photographs is returned as it is. tell is called with
@@ -64,10 +83,16 @@ def photographs_scene(
     pycolmap, or a folder that holds anything else.
     """
     folder, config = Path(folder), config or PhotosConfig()
-    photographs = photographs_in(source)
-    digests = {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in photographs.items()}
-    content = {"format": FORMAT, "config": asdict(config), "photographs": digests}
-    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    source = Path(source)
+    video = source.is_file() and source.suffix.lower() in VIDEOS
+    if config.every is not None and not video:
+        raise InputError(f"--every belongs to a video ({' '.join(VIDEOS)}); {source} is none")
+    photographs = {source.name: source} if video else photographs_in(source)
+    digests = {}
+    for name, file in photographs.items():
+        with open(file, "rb") as read:
+            digests[name] = hashlib.file_digest(read, "sha256").hexdigest()
+    key = config.key(digests)
     if holds(folder, key):
         held = load_json(folder / DESCRIPTION)["photographs"]
         return Registered(folder, folder, **{**held, "names": tuple(held["names"])})
@@ -75,6 +100,9 @@ def photographs_scene(
     with whole_folder(folder, key) as temporary:
         (work := temporary / "work").mkdir()
         log_to(work / "log")
+        if video:
+            video_frames(source, config.every, work / "frames", progress)
+            photographs = photographs_in(work / "frames")
         ready = prepared(photographs, work / "pictures", work / "masks", config.features, progress)
         for doubt in [*size_doubts(ready.sizes, config.size), *useless(ready.blank, digests)]:
             tell(doubt)

@@ -58,9 +58,9 @@ def subject_of(
     the picture at the subject's distance (means over the cameras).
 
     Ground is a plane that holds a tenth of the points around the subject, has the cameras above it and hardly
-    a point below, and whose normal is near the pictures' mean up (or down, as all may lie on their head); a wall or a trunk is
-    none. Raises InputError for a radius that is not positive, a negative ground, or cameras that look at no common
-    point.
+    a point below, and whose normal is near the pictures' mean up (or down: all may lie on their head); a wall
+    or a trunk is none. Raises InputError for a radius that is not positive, a negative ground, or cameras
+    that look at no common point.
     """
     if not radius > 0 or not ground >= 0:
         raise InputError(

@@ -1,0 +1,87 @@
+"""`reconstruct`: photographs or a video → scene, soup, pictures and mesh in one command, and again."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageFilter
+
+from paper_artifact.cli import main
+from paper_artifact.errors import InputError
+from paper_artifact.photos.pictures import video_frames
+from tests.test_photographs import MUG
+
+av = pytest.importorskip("av", reason="PyAV has no wheel here")
+EVERY = 3
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    """Eight photographs of the mug, each between two blurred copies, as H.264."""
+    file = tmp_path_factory.mktemp("video") / "walk.mp4"
+    with av.open(file, "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(25), options={"crf": "14"})
+        stream.width, stream.height, stream.pix_fmt = 600, 450, "yuv420p"
+        for index in range(30, 38):
+            with Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as read:
+                sharp = read.convert("RGB").resize((600, 450))
+            blurred = sharp.filter(ImageFilter.GaussianBlur(4))
+            for picture in (blurred, sharp, blurred):
+                container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        container.mux(stream.encode())
+    return file
+
+
+def test_of_every_few_frames_the_sharpest_is_taken(video, tmp_path):
+    assert video_frames(video, EVERY, tmp_path / "frames", False) == EVERY
+    frames = sorted((tmp_path / "frames").iterdir())
+    assert len(frames) == 8
+    for file, index in zip(frames, range(30, 38), strict=True):
+        with Image.open(file) as taken, Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as true:
+            off = np.asarray(taken, float) - np.asarray(true.convert("RGB").resize((600, 450)), float)
+        assert np.sqrt((off**2).mean()) < 6, f"{file.name} is blurred"
+    assert video_frames(video, None, tmp_path / "all", False) == 1
+    with pytest.raises(InputError, match="24 frames; give a smaller --every"):
+        video_frames(video, 20, tmp_path / "few", False)
+
+
+def test_what_is_no_video_is_refused(video, tmp_path, capsys):
+    (tmp_path / "text.mp4").write_text("no video")
+    (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:2000])
+    for name in ("text", "cut"):
+        words = ["photos", str(tmp_path / f"{name}.mp4"), "--out", str(tmp_path / "scene"), "--quiet"]
+        assert main(words) == 1
+        assert "convert it to MP4" in capsys.readouterr().err
+        assert not (tmp_path / "scene").exists()
+    assert main(["photos", str(MUG / "photographs"), "--out", str(tmp_path / "scene"), "--every", "2"]) == 1
+    assert "--every belongs to a video" in capsys.readouterr().err
+
+
+def test_one_command_from_a_video_to_a_mesh(video, tmp_path, capsys):
+    pytest.importorskip("pycolmap", reason="no wheel here")
+    words = ["reconstruct", str(video), f"--every={EVERY}", "--budget=300", "--steps=30", "--quiet"]
+    words += [f"--work={tmp_path / 'work'}"]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["photographs", "training", "pictures", "next:"]
+    assert "8 photographs registered" in lines[0] and "held-out PSNR" in lines[1]
+    assert len(list((tmp_path / "work").glob("*.views.png"))) == 1
+    code = main([*words, f"--out={tmp_path / 'mesh.ply'}", "--betti=1,2,1"])
+    lines = capsys.readouterr().out.splitlines()
+    assert "as recorded" in lines[1] and code == (0 if (tmp_path / "mesh.ply").exists() else 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["--out=a.obj"], "must end in .ply or .glb"),
+        (["--out=a.ply", "--betti=1,2,2"], "no solid has the Betti numbers"),
+        (["--betti=1,2,1"], "--betti belongs to --out"),
+    ],
+)
+def test_wrong_usage_is_said_first(words, answer, tmp_path, capsys):
+    assert main(["reconstruct", str(tmp_path / "nowhere"), *words]) == 2
+    assert answer in capsys.readouterr().err
