@@ -175,9 +175,7 @@ def test_an_interrupted_copy_leaves_nothing(out, tmp_path, monkeypatch):
 
 
 def test_a_named_mirror_comes_before_that_of_the_environment(tmp_path, monkeypatch):
-    named, variable = (
-        mirror_with(tmp_path / name, {"data/a b.obj": BODY}) for name in ("named", "variable")
-    )
+    named, variable = (mirror_with(tmp_path / name, {"data/a b.obj": BODY}) for name in ("named", "variable"))
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(variable))
     assert get("tri", tmp_path / "2").origin == str(variable)
     assert get("tri", tmp_path / "3", named).origin == str(named)

@@ -14,7 +14,6 @@ import trimesh
 from paper_artifact import cli
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli.solids import offset_table
-from paper_artifact.cli.solids import offset_table
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import (
     SoupSolid,
@@ -236,7 +235,9 @@ def test_the_verb(tmp_path: Path, capsys):
     report = json.loads(stored.read_text())
     assert report["solid"]["certificate"]["genus"] == 1 and report["distance"]["chamfer"] < 0.02
     assert cli.main([*words, "--offsets", "0.03"]) == 0
-    assert "one offset was tried: 1 component, 2 loops, 1 void, a body, says nothing" in capsys.readouterr().out
+    assert (
+        "one offset was tried: 1 component, 2 loops, 1 void, a body, says nothing" in capsys.readouterr().out
+    )
     assert cli.main([*words, "--offsets", "0.025,0.03"]) == 0
     lasting = "1 component, 2 loops, 1 void, a body, lasts over 100 % of the ladder, from ε = 0.025 D"
     assert lasting in capsys.readouterr().out
