@@ -20,7 +20,7 @@ from paper_artifact.cli import main
 from paper_artifact.files import REPOSITORY
 from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.pictures import (
-    even_out,
+    evened,
     fitted_exposures,
     photographs_in,
     prepared,
@@ -314,12 +314,12 @@ def test_pictures_of_several_sizes_are_cropped_and_the_empty_part_is_found(tmp_p
         middle = slice(camera.height // 2 - 20, camera.height // 2 + 20)
         pixels[middle, camera.width // 2 - 20 : camera.width // 2 + 20] = 255
         Image.fromarray(pixels).save(tmp_path / "in" / f"{index}.png")
-    cropped = _of_one_size(model, tmp_path / "in", tmp_path / "out")
+    cropped, small = _of_one_size(model, tmp_path / "in", tmp_path / "out", {})
     assert {(c.width, c.height) for c in cropped.cameras.values()} == {(96, 96)}
     assert cropped.cameras[0].parameters[2:] == (48.0, 48.0)
     pictures = [np.asarray(Image.open(tmp_path / "out" / f"{index}.png")) for index in range(3)]
     assert all((each == pictures[1]).all() for each in pictures)
-    assert np.allclose(empty_colour(cropped, tmp_path / "out"), np.array((20, 120, 220)) / 255, atol=0.01)
+    assert np.allclose(empty_colour(cropped, small), np.array((20, 120, 220)) / 255, atol=0.01)
 
 
 def test_a_smaller_size_is_scaled_to_before_it_is_cropped(tmp_path):
@@ -331,7 +331,7 @@ def test_a_smaller_size_is_scaled_to_before_it_is_cropped(tmp_path):
     ramp = np.linspace(0, 240, 200).astype(np.uint8)[None, :, None]
     Image.fromarray(np.broadcast_to(ramp, (160, 200, 3)).copy()).save(tmp_path / "in" / "0.png")
     Image.new("RGB", (96, 96)).save(tmp_path / "in" / "1.png")
-    made = _of_one_size(model, tmp_path / "in", tmp_path / "out")
+    made, _ = _of_one_size(model, tmp_path / "in", tmp_path / "out", {})
     # 200×160 → 120×96 → the middle 96 columns: .6 of every length, 12 columns less.
     assert np.allclose(made.cameras[0].parameters, (0.6 * focal, 1.2 * focal, 48.0, 48.0))
     assert made.cameras[1] == model.cameras[1]
@@ -353,12 +353,9 @@ def test_exposures_are_found_and_evened_out(tmp_path):
     assert np.allclose(found, true, rtol=0.03)
     scene = draws.uniform(0.05, 0.4, (40, 40, 1)) * np.ones(3)
     scene = np.kron(scene[::8, ::8], np.ones((8, 8, 1)))
-    for index, exposure in enumerate(true):
-        shown = np.rint(255 * to_shown(scene * exposure)).astype(np.uint8)
-        Image.fromarray(shown).save(tmp_path / f"{index}.png")
-    even_out(tmp_path, {f"{index}.png": exposure for index, exposure in enumerate(true)})
-    for index in range(4):
-        shown = np.asarray(Image.open(tmp_path / f"{index}.png"), float) / 255
+    for exposure in true:
+        picture = Image.fromarray(np.rint(255 * to_shown(scene * exposure)).astype(np.uint8))
+        shown = np.asarray(evened(picture, exposure), float) / 255
         assert np.abs(shown - to_shown(scene)).max() < 0.01
 
 

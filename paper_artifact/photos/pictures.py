@@ -288,13 +288,9 @@ def fitted_exposures(pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[float]:
     return [float(each) for each in np.exp(exposure)]
 
 
-def even_out(folder: Path, exposures: Mapping[str, float]) -> None:
-    """Rewrite the pictures in `folder` as if all had been exposed alike; those within 3 % stay as they
-    are."""
-    for name, exposure in exposures.items():
-        if abs(np.log(exposure)) < SMALLEST:
-            continue
-        with Image.open(folder / name) as picture:
-            shown = np.asarray(picture.convert("RGB"), np.float64) / 255
-        even = np.rint(255 * to_shown(to_linear(shown) / exposure)).astype(np.uint8)
-        Image.fromarray(even).save(folder / name, quality=QUALITY, subsampling=0)
+def evened(picture: Image.Image, exposure: float) -> Image.Image:
+    """Return an RGB picture as if it had been exposed like the mean; one within 3 % of it as it is."""
+    if abs(np.log(exposure)) < SMALLEST:
+        return picture
+    light = to_linear(np.asarray(picture, np.float64) / 255) / exposure
+    return Image.fromarray(np.rint(255 * to_shown(light)).astype(np.uint8))

@@ -25,7 +25,7 @@ from paper_artifact.photos.pictures import (
     LEVEL,
     QUALITY,
     VIDEOS,
-    even_out,
+    evened,
     photographs_in,
     prepared,
     size_doubts,
@@ -37,7 +37,7 @@ from paper_artifact.scene.colmap import Model, read_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
 from paper_artifact.scene.load import AUTO
 
-FORMAT = 3  # raised whenever the same photographs would give another scene
+FORMAT = 4  # raised whenever the same photographs would give another scene
 LARGEST_ERROR = 1.5  # pixels of reprojection above which a model is doubtful
 FEWEST_POINTS = 300  # of the cloud, below which a model is doubtful
 CROPPED_ALONE = 0.9  # a picture that would be scaled by more than this is cropped only, which blurs nothing
@@ -110,12 +110,11 @@ def photographs_scene(
         for doubt in doubts(found, [f"{name}.jpg" for name in photographs]):
             tell(doubt)
         distorted = upright(read_model(found.folder / "sparse"), ready.up)
-        model = _of_one_size(distorted, found.folder / "images", temporary / "images")
-        if config.even:
-            even_out(temporary / "images", found.exposures)
+        exposures = found.exposures if config.even else {}
+        model, small = _of_one_size(distorted, found.folder / "images", temporary / "images", exposures)
         if ready.masked:
             masks = _undistorted_masks(ready.masked, found, work, config.size, progress)
-            _of_one_size(distorted, masks, temporary / "masks")
+            _of_one_size(distorted, masks, temporary / "masks", {})
         write_model(model, temporary / "sparse" / "0")
         log_to(None)
         with open(temporary / "colmap.log", "wb") as log:
@@ -130,7 +129,7 @@ def photographs_scene(
             "key": key,
             "config": asdict(config),
             "holdout": AUTO,
-            "background": [1.0] * 3 if ready.masked else empty_colour(model, temporary / "images"),
+            "background": [1.0] * 3 if ready.masked else empty_colour(model, small),
             "radius": float(np.linalg.norm(high - low)) / 2,
             "photographs": facts,
         }
@@ -217,11 +216,14 @@ def _undistorted_masks(
     return out / "images"
 
 
-def _of_one_size(model: Model, source: Path, target: Path) -> Model:
+def _of_one_size(
+    model: Model, source: Path, target: Path, exposures: Mapping[str, float]
+) -> tuple[Model, dict[str, np.ndarray]]:
     """Write the model's pictures to the new folder `target`, all of the smallest width and height among them.
 
-    Each is scaled down to cover that, unless hardly, and cropped about its middle. Returns the model with
-    cameras that fit.
+    Each is read once: scaled down to cover that size, unless hardly, cropped about its middle, and evened out
+    by its exposure. Returns the model with cameras that fit, and each picture's colours (h,w,3) in [0,1], an
+    eighth as large, by name.
     """
     target.mkdir(exist_ok=True)
     width = min(camera.width for camera in model.cameras.values())
@@ -238,33 +240,36 @@ def _of_one_size(model: Model, source: Path, target: Path) -> Model:
         moved = (*fitting, x * ratios[0] - left, y * ratios[1] - top)
         cameras[index] = replace(camera, width=width, height=height, parameters=moved)
         boxes[index] = (across, down), (left, top, left + width, top + height)
+    small = {}
     for pose in model.images.values():
         whole, (scaled, box) = model.cameras[pose.camera], boxes[pose.camera]
-        if (whole.width, whole.height) == (width, height):
-            shutil.copyfile(source / pose.name, target / pose.name)
-            continue
         with Image.open(source / pose.name) as read:
-            picture = read if read.mode == "L" else read.convert("RGB")
-            picture.load()
-        if scaled != picture.size:
-            picture = picture.resize(scaled, Image.Resampling.LANCZOS)
-        picture.crop(box).save(target / pose.name, quality=QUALITY, subsampling=0)
-    return replace(model, cameras=cameras)
+            stored = read if read.mode == "L" else read.convert("RGB")
+            stored.load()
+        picture = stored
+        if (whole.width, whole.height) != (width, height):
+            resized = picture.resize(scaled, Image.Resampling.LANCZOS) if scaled != picture.size else picture
+            picture = resized.crop(box)
+        if pose.name in exposures:
+            picture = evened(picture, exposures[pose.name])
+        if picture is stored:
+            shutil.copyfile(source / pose.name, target / pose.name)
+        else:
+            picture.save(target / pose.name, quality=QUALITY, subsampling=0)
+        small[pose.name] = np.asarray(picture.convert("RGB").reduce(8), np.float64) / 255
+    return replace(model, cameras=cameras), small
 
 
-def empty_colour(model: Model, images: Path) -> list[float]:
+def empty_colour(model: Model, pictures: Mapping[str, np.ndarray]) -> list[float]:
     """Return the median colour, RGB in [0,1], of what lies far from every point of the cloud: sky, or a wall.
 
-    Far: a tenth of the picture's width. It stands behind the soup, where no triangle starts. Where the cloud
-    is everywhere it is the median of the whole pictures.
+    pictures: small copies (h,w,3) in [0,1] by name. Far: a tenth of the picture's width. The colour stands
+    behind the soup, where no triangle starts. Where the cloud is everywhere it is the median of the whole
+    pictures.
     """
     far: list[np.ndarray] = []
-    all_of_them: list[np.ndarray] = []
     for index, pose in model.images.items():
-        camera = model.camera(index)
-        with Image.open(images / pose.name) as picture:
-            small = np.asarray(picture.convert("RGB").reduce(8), np.float64) / 255
-        matrix = world_to_clip(camera, 1e-3, 1e3)
+        small, matrix = pictures[pose.name], world_to_clip(model.camera(index), 1e-3, 1e3)
         clip = model.positions @ matrix[[0, 1, 3], :3].T + matrix[[0, 1, 3], 3]
         clip = clip[clip[:, 2] > 0]
         seen = (clip[:, :2] / clip[:, 2:] + 1) / 2
@@ -274,8 +279,7 @@ def empty_colour(model: Model, images: Path) -> list[float]:
         empty[(seen[:, 1] * height).astype(int), (seen[:, 0] * width).astype(int)] = False
         distance = distance_transform_edt(empty) if not empty.all() else np.full(empty.shape, np.inf)
         far.append(small[distance > width / 10])
-        all_of_them.append(small.reshape(-1, 3))
     pixels = np.concatenate(far)
     if not len(pixels):
-        pixels = np.concatenate(all_of_them)
+        pixels = np.concatenate([each.reshape(-1, 3) for each in pictures.values()])
     return [round(float(value), 4) for value in np.median(pixels, axis=0)]
