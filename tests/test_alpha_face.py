@@ -1,37 +1,29 @@
-"""The public face of `paper_artifact.alpha`: input at the edges, options, clouds in the plane, features."""
+"""The public face of `paper_artifact.alpha`: input at the edges, options, gradients, the filtration."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-from fractions import Fraction
-from itertools import combinations
+from functools import partial
 
 import gudhi
-import gudhi.hera
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from sklearn.utils.estimator_checks import check_estimator
 
+from paper_artifact import alpha
 from paper_artifact.alpha import (
     AlphaPersistence,
     AlphaTransformer,
     alpha_diagrams,
     alpha_filtration,
     alpha_persistence,
-    bottleneck,
-    persistence_image,
-    plot_diagram,
-    wasserstein,
 )
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.randomness import stream
 from paper_artifact.topology.term import repulsion
-from tests.test_persistence import CLOUDS
+from tests.test_alpha_pairs import CLOUDS
 
 CORNER = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0, 0, 3]])
 
@@ -91,13 +83,17 @@ def test_kinds_of_numbers_that_mean_the_same(points):
         CORNER.reshape(-1),
         cloud(20, 4),
         torch.tensor(CORNER).to_sparse(),
+        np.zeros((0, 4)),
+        np.zeros((2, 3, 1)),
         np.full((4, 3), 1.7e308),
+        np.vstack([np.eye(3), [[0, np.inf, 0]]]),
         torch.full((5, 3), float("nan")),
     ],
     ids=lambda points: type(points).__name__,
 )
 def test_what_is_no_cloud_is_one_sentence(points):
-    for call in (alpha_persistence, alpha_diagrams, alpha_filtration):
+    calls = (alpha_persistence, alpha_diagrams, alpha_filtration, partial(alpha_persistence, method="gudhi"))
+    for call in calls:
         with pytest.raises(InputError, match=r"point"):
             call(points)
 
@@ -112,12 +108,6 @@ def test_bars_and_gradients_scale_exactly(power):
         torch.autograd.grad(sum(d.bars[:, 1].sum() for d in alpha_diagrams(p)), p)[0] for p in (points, far)
     ]
     assert torch.equal(*gradients)
-
-
-def test_squares_beyond_the_range_of_numbers_are_refused():
-    for scale in (2.0**600, 2.0**-600):
-        with pytest.raises(InputError, match="range of float64"):
-            alpha_persistence(CORNER * scale, squared=True)
 
 
 @pytest.mark.parametrize(
@@ -139,6 +129,37 @@ def test_every_order_of_the_points_gives_the_same_bits(name):
                 assert np.array_equal(np.sort(order[a.death_simplices]), b.death_simplices)
 
 
+# gradients
+
+
+def test_bars_are_those_of_alpha_persistence_and_gradients_those_of_finite_differences():
+    points = torch.tensor(cloud(16), requires_grad=True)
+    diagrams = alpha_diagrams(points)
+    for diagram, pairs in zip(diagrams, alpha_persistence(cloud(16)), strict=True):
+        np.testing.assert_allclose(diagram.bars.detach().numpy(), pairs.diagram, rtol=1e-9)
+        assert len(diagram) == len(pairs) and bool(diagram.gabriel.all())
+    assert torch.autograd.gradcheck(
+        lambda p: tuple(each.bars for each in alpha_diagrams(p)), (points,), eps=1e-7, atol=1e-5
+    )
+    single = points.detach().float().requires_grad_()
+    loops = alpha_diagrams(single)[1].bars
+    loops.sum().backward()
+    assert loops.dtype == single.grad.dtype == torch.float32 and bool((single.grad != 0).any())
+
+
+def test_a_lattice_gives_finite_gradients():
+    """Cospherical points: a value that is not the simplex's own radius is a constant, never NaN."""
+    axis = torch.arange(4, dtype=torch.float64)
+    points = torch.cartesian_prod(axis, axis, axis).requires_grad_()
+    diagrams = alpha_diagrams(points)
+    sum(each.bars.sum() for each in diagrams).backward()
+    assert bool(points.grad.isfinite().all())
+    reference = alpha_persistence(points.detach().numpy(), method="gudhi")
+    for diagram, pairs in zip(diagrams, reference, strict=True):
+        deaths = np.sort(diagram.bars.detach().numpy()[:, 1])
+        np.testing.assert_allclose(deaths, np.sort(pairs.deaths), atol=1e-9)
+
+
 def test_second_derivatives_are_refused_on_every_route():
     points = torch.tensor(cloud(12), requires_grad=True)
     pairs = np.array([[0, 1], [2, 3]])
@@ -153,13 +174,6 @@ def test_second_derivatives_are_refused_on_every_route():
             torch.autograd.grad(loss(points) + gradient.square().sum(), points)
         (first,) = torch.autograd.grad(loss(points), points)
         assert torch.equal(first, gradient)
-
-
-def test_crossings_of_nothing_and_of_points_that_are_no_numbers():
-    assert crossing_faces(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0,)
-    assert crossing_faces(np.eye(3), np.zeros((0, 3), int)).shape == (0,)
-    with pytest.raises(InputError, match="finite"):
-        crossing_faces(np.full((3, 3), np.nan), np.array([[0, 1, 2]]))
 
 
 # options
@@ -196,11 +210,20 @@ def test_one_component_never_dies(points):
 
 
 @pytest.mark.parametrize(
-    "options", [{"max_dimension": 3}, {"max_dimension": -1}, {"max_radius": -1.0}, {"max_radius": np.nan}]
+    ("options", "words"),
+    [
+        ({"max_dimension": 3}, "max_dimension"),
+        ({"max_dimension": -1}, "max_dimension"),
+        ({"max_radius": -1.0}, "max_radius"),
+        ({"max_radius": np.nan}, "max_radius"),
+        ({"method": "exact"}, "unknown persistence method 'exact'"),
+        ({"squared": True}, "range of float64"),
+    ],
 )
-def test_bad_options(options):
-    with pytest.raises(InputError, match="max_"):
-        alpha_persistence(CORNER, **options)
+def test_bad_options(options, words):
+    for scale in (2.0**600, 2.0**-600):
+        with pytest.raises(InputError, match=words):
+            alpha_persistence(CORNER * scale, **options)
 
 
 def planar(n: int) -> np.ndarray:
@@ -258,12 +281,7 @@ def test_the_filtration_is_gudhis_and_so_are_its_pairs():
             tuple(s): v for s, v in tree.get_filtration()
         }
     empty = alpha_filtration(np.zeros((0, 3)))
-    assert [len(each) for each in empty.simplices] == [
-        0,
-        0,
-        0,
-        0,
-    ] and empty.simplex_tree().num_simplices() == 0
+    assert [*map(len, empty.simplices)] == [0] * 4 and empty.simplex_tree().num_simplices() == 0
 
 
 def test_a_loop_is_represented_by_a_shortest_cycle_at_its_birth():
@@ -282,78 +300,7 @@ def test_a_loop_is_represented_by_a_shortest_cycle_at_its_birth():
             filtration.shortest_loop(edge)
 
 
-# distances, images, the transformer
-
-
-BARS = st.lists(st.tuples(st.integers(0, 9), st.integers(1, 9)), max_size=6).map(
-    lambda rows: np.array([(b, b + life) for b, life in rows], dtype=float).reshape(-1, 2)
-)
-
-
-@settings(max_examples=100, deadline=None)
-@given(BARS, BARS, st.sampled_from([1.0, 2.0]), st.sampled_from([2.0, np.inf]))
-def test_wasserstein_is_gudhis(a, b, order, internal):
-    theirs = gudhi.hera.wasserstein_distance(a, b, order=order, internal_p=internal, delta=1e-9)
-    assert wasserstein(a, b, order, internal) == pytest.approx(theirs, rel=1e-7, abs=1e-9)
-    tensor = wasserstein(torch.tensor(a), torch.tensor(b), order, internal)
-    assert float(tensor) == pytest.approx(theirs, rel=1e-7, abs=1e-9)
-
-
-def test_bars_that_never_die():
-    inf = np.inf
-    assert bottleneck([[0, inf]], [[1, inf]]) == wasserstein([[0, inf]], [[1, inf]]) == 1.0
-    assert bottleneck([[0, inf], [3, 9]], [[0.5, inf], [3, 8]]) == 1.0
-    assert bottleneck([[0, inf]], []) == wasserstein([[0, inf]], [[0, 1]]) == inf
-    assert wasserstein([[0, inf], [3, 9]], [[0.5, inf], [3, 8]]) == 1.5
-    assert bottleneck(alpha_persistence(CORNER, infinite=True)[0], [[0, inf]]) == pytest.approx(0.75)
-
-
-@pytest.mark.parametrize(
-    "bars",
-    [
-        [[2.7], [9.6]],
-        [[0, 1, 2]],
-        [0.0, 1.0],
-        [[0, np.nan]],
-        [[1, 0]],
-        [["a", "b"]],
-        [[np.inf, np.inf]],
-        [[[0, 1]]],
-        np.ones((1, 2)) * 1j,
-    ],
-)
-def test_what_are_no_bars(bars):
-    for call in (bottleneck, wasserstein):
-        with pytest.raises(InputError, match="bar"):
-            call(bars, [[0.0, 3.0]])
-    with pytest.raises(InputError, match="bar"):
-        persistence_image(bars)
-
-
-def test_distances_and_images_have_gradients():
-    points, other = torch.tensor(cloud(25), requires_grad=True), alpha_persistence(cloud(25, name="aim"))
-    span = ((0.0, 2.0), (0.0, 2.0))
-    for loss in (
-        lambda p: wasserstein(alpha_diagrams(p)[1].bars, torch.tensor(other[1].diagram)),
-        lambda p: wasserstein(alpha_diagrams(p)[0].bars, torch.tensor(other[0].diagram), 2.0, 2.0),
-        lambda p: persistence_image(alpha_diagrams(p)[1].bars, 4, 0.3, span),
-    ):
-        assert torch.autograd.gradcheck(loss, points, eps=1e-7, atol=1e-5)
-    bars = other[1].diagram
-    image = persistence_image(bars, 60, 0.05, ((-0.5, 3.0), (-0.5, 3.0)))
-    assert image.sum() * (3.5 / 60) ** 2 == pytest.approx((bars[:, 1] - bars[:, 0]).sum(), rel=1e-3)
-    assert persistence_image([]).sum() == 0 and persistence_image([[0, np.inf]]).sum() == 0
-    with pytest.raises(InputError, match="positive"):
-        persistence_image(bars, bandwidth=0.0)
-
-
-def test_a_plot_shows_every_bar():
-    import matplotlib.pyplot as plt
-
-    diagrams = alpha_persistence(cloud(), infinite=True)
-    axes = plot_diagram(diagrams, plt.figure().subplots())
-    assert [len(each.get_offsets()) for each in axes.collections] == [len(each) for each in diagrams]
-    plt.close("all")
+# the transformer, threads, the import
 
 
 def test_the_transformer_is_scikit_learns():
@@ -367,65 +314,13 @@ def test_the_transformer_is_scikit_learns():
         AlphaTransformer(longest=0).fit(cloud(4))
 
 
-# exact arithmetic, threads, the import
-
-
-def cech_radius(points: list) -> Fraction:
-    """Return the squared radius of the smallest ball around up to four integer points, exactly."""
-    best = None
-    for size in range(1, len(points) + 1):
-        for chosen in combinations(points, size):
-            base, rest = chosen[0], chosen[1:]
-            edges = [[Fraction(x - y) for x, y in zip(p, base, strict=True)] for p in rest]
-            gram = [[sum(x * y for x, y in zip(u, v, strict=True)) for v in edges] for u in edges]
-            weights = solve(gram, [row[i] / 2 for i, row in enumerate(gram)])
-            if weights is None:
-                continue
-            centre = [
-                base[k] + sum(w * e[k] for w, e in zip(weights, edges, strict=True)) for k in range(len(base))
-            ]
-            radius = sum((c - b) ** 2 for c, b in zip(centre, base, strict=True))
-            inside = all(sum((c - x) ** 2 for c, x in zip(centre, p, strict=True)) <= radius for p in points)
-            if inside and (best is None or radius < best):
-                best = radius
-    return best
-
-
-def solve(matrix: list, right: list) -> list | None:
-    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
-    for i in range(len(rows)):
-        pivot = next((j for j in range(i, len(rows)) if rows[j][i] != 0), None)
-        if pivot is None:
-            return None
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [x / rows[i][i] for x in rows[i]]
-        for j in range(len(rows)):
-            if j != i:
-                rows[j] = [x - rows[j][i] * y for x, y in zip(rows[j], rows[i], strict=True)]
-    return [row[-1] for row in rows]
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=7, unique=True))
-def test_small_integer_clouds_have_the_diagrams_of_the_exact_cech_complex(rows):
-    """Alpha and Čech filtrations have one diagram (nerve theorem); the Čech complex needs no Delaunay."""
-    tree = gudhi.SimplexTree()
-    for size in range(1, 5):
-        for simplex in combinations(range(len(rows)), size):
-            tree.insert(simplex, float(cech_radius([rows[i] for i in simplex])))
-    tree.compute_persistence(2, 0, True)
-    for dimension, pairs in enumerate(alpha_persistence(np.array(rows), infinite=True, squared=True)):
-        theirs = tree.persistence_intervals_in_dimension(dimension).reshape(-1, 2)
-        theirs = theirs[theirs[:, 1] > theirs[:, 0]]
-        np.testing.assert_allclose(np.sort(pairs.diagram, 0), np.sort(theirs, 0), rtol=1e-12)
-
-
 def test_threads_do_not_change_bits():
     clouds = [cloud(200, name=str(i)) for i in range(12)]
     assert all(same(a, alpha_persistence(b)) for a, b in zip(alpha_persistence(clouds), clouds, strict=True))
 
 
-def test_the_import_is_numpy_alone():
+def test_the_import_is_numpy_alone_and_every_name_is_there():
+    assert all(getattr(alpha, name).__name__ == name for name in alpha.__all__)
     heavy = "{'torch', 'numba', 'scipy', 'sklearn', 'matplotlib', 'gudhi'} & set(sys.modules)"
     code = f"import sys, paper_artifact.alpha; print({heavy})"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "set()"

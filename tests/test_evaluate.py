@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import gudhi
 import gudhi.hera
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import chamfer_sum, point_distances
@@ -37,62 +32,6 @@ def icosphere(radius: float = 1.0) -> Mesh:
     return Mesh(
         np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64), "ball", (1, 0, 1)
     )
-
-
-def hera(a: np.ndarray, b: np.ndarray) -> float:
-    return gudhi.hera.bottleneck_distance(a, b, delta=0.0)
-
-
-def random_bars(generator: np.random.Generator, count: int, on_ray: bool) -> np.ndarray:
-    births = np.zeros(count) if on_ray else generator.random(count)
-    return np.column_stack(
-        [births, births + generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6]
-    )
-
-
-def test_bottleneck_where_gudhi_itself_is_not_exact():
-    # Four bars a side; an exhaustive search gives .210629, gudhi.bottleneck_distance (3.13) .211593.
-    generator = np.random.default_rng(182)
-    a, b = random_bars(generator, 4, False), random_bars(generator, 4, False)
-    cost = np.zeros((8, 8))
-    cost[:4, :4] = np.abs(a[:, None] - b[None]).max(axis=2)
-    cost[:4, 4:] = ((a[:, 1] - a[:, 0]) / 2)[:, None]
-    cost[4:, :4] = ((b[:, 1] - b[:, 0]) / 2)[None]
-    exhaustive = min(
-        max(cost[i, column] for i, column in enumerate(columns)) for columns in permutations(range(8))
-    )
-    assert bottleneck(a, b) == pytest.approx(exhaustive, abs=1e-15)
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 50), st.integers(0, 50), st.booleans(), st.booleans())
-def test_bottleneck_equals_hera_on_random_diagrams(seed, size_a, size_b, on_ray, close):
-    generator = np.random.default_rng(seed)
-    a = random_bars(generator, size_a, on_ray)
-    b = random_bars(generator, size_b, on_ray)
-    if close:  # a perturbed copy: the optimal matching then pairs most bars
-        b = a + np.array([0.0 if on_ray else 0.01, 0.01]) * generator.normal(size=a.shape)
-        b[:, 1] = np.maximum(b[:, 1], b[:, 0] + 1e-6)
-    assert bottleneck(a, b) == pytest.approx(hera(a, b), abs=1e-13)
-    assert bottleneck(a, b) == pytest.approx(bottleneck(b, a), abs=1e-13)
-
-
-def test_bottleneck_equals_hera_on_large_noisy_diagrams():
-    generator = np.random.default_rng(5)
-    for on_ray in (True, False):
-        a = random_bars(generator, 2500, on_ray) * 0.01
-        b = random_bars(generator, 2300, on_ray) * 0.011
-        a = np.vstack([a, [[0.0, 0.3]]])
-        assert bottleneck(a, b) == pytest.approx(hera(a, b), abs=1e-13)
-        assert bottleneck(a, a) == 0
-
-
-def test_bottleneck_where_the_best_partner_is_shorter_than_the_distance():
-    # a's bar (half life 1) takes b's short bar (half life .6) at distance .8: cheaper than the diagonal.
-    a, b = np.array([[0.0, 2.0]]), np.array([[0.0, 1.2]])
-    assert bottleneck(a, b) == pytest.approx(0.8)
-    assert bottleneck(a, np.empty((0, 2))) == pytest.approx(1.0)
-    assert bottleneck(np.empty((0, 2)), np.empty((0, 2))) == 0
 
 
 def test_diagram_is_in_radii_over_the_diagonal():

@@ -281,3 +281,10 @@ def test_what_to_try_next_lies_between_too_many_handles_and_too_few():
 
     assert "--offsets 0.032,0.034,0.036,0.038, or" in offset_table(solid(9, 3, 0))
     assert "--offsets 0.05,0.06,0.08,0.1,0.12, or" in offset_table(solid(9, 3, 2))
+
+
+def test_crossings_of_nothing_and_of_points_that_are_no_numbers():
+    assert crossing_faces(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0,)
+    assert crossing_faces(np.eye(3), np.zeros((0, 3), int)).shape == (0,)
+    with pytest.raises(InputError, match="finite"):
+        crossing_faces(np.full((3, 3), np.nan), np.array([[0, 1, 2]]))

@@ -38,9 +38,7 @@ class Complex:
     cell_values: np.ndarray  # (m,) float64
     of_triangle: np.ndarray  # (k,3) int32: the edge opposite each corner
     of_cell: np.ndarray  # (m,4) int32: the triangle opposite each vertex
-    sides: (
-        np.ndarray
-    )  # (k,2) int32: the cells beside a triangle; no cells, (e,2): the triangles beside an edge
+    sides: np.ndarray  # (k,2) int32: cells beside a triangle; without cells (e,2): triangles beside an edge
 
 
 def build(points: np.ndarray, begin: Stage) -> Complex:
@@ -65,31 +63,19 @@ def build(points: np.ndarray, begin: Stage) -> Complex:
     del scaled, ordered, mesh, rank, along  # the largest arrays: a million points need their room
     begin("filtration")
     ws = np.empty(WORKSPACE)
-    none = np.zeros((0, 4), dtype=np.int32)
     if found == 3:
         triangles = np.ascontiguousarray(cells[cells != n].reshape(-1, 3))
         of_triangle, edges = filtration.edges_of(triangles, n, distinct - 1 + len(triangles) - 1)  # a disc
         values, edge_values, sides = filtration.planar_values(cloud, triangles, edges, of_triangle, ws)
-        return Complex(
-            exponent,
-            names,
-            edges,
-            edge_values,
-            triangles,
-            values,
-            none,
-            np.zeros(0),
-            of_triangle,
-            none,
-            sides,
+        cells = of_cell = np.zeros((0, 4), dtype=np.int32)
+        cell_values = np.zeros(0)
+    else:
+        of_cell, triangles, sides = filtration.faces(cells, neighbours)
+        edge_count = distinct + len(triangles) - len(cells) - 1  # a ball
+        of_triangle, edges = filtration.edges_of(triangles, n, edge_count)
+        cell_values, values, edge_values = filtration.values(
+            cloud, cells, triangles, sides, of_cell, edges, of_triangle, ws
         )
-    of_cell, triangles, sides = filtration.faces(cells, neighbours)
-    of_triangle, edges = filtration.edges_of(
-        triangles, n, distinct + len(triangles) - len(cells) - 1
-    )  # a ball
-    cell_values, values, edge_values = filtration.values(
-        cloud, cells, triangles, sides, of_cell, edges, of_triangle, ws
-    )
     return Complex(
         exponent,
         names,
@@ -125,20 +111,11 @@ def _on_a_line(ordered: np.ndarray, order: np.ndarray, exponent: int, begin: Sta
     places = np.flatnonzero(first).astype(np.int32)
     begin("filtration")
     x, y, z = (points[places[1:]] - points[places[:-1]]).T
-    nothing = [np.zeros((0, columns), dtype=np.int32) for columns in (3, 4, 2)]
-    return Complex(
-        exponent,
-        order[along],
-        np.column_stack([places[:-1], places[1:]]),
-        (x * x + y * y + z * z) / 4.0,
-        nothing[0],
-        np.zeros(0),
-        nothing[1],
-        np.zeros(0),
-        nothing[0],
-        nothing[1],
-        nothing[2],
-    )
+    edges = np.column_stack([places[:-1], places[1:]])
+    values = (x * x + y * y + z * z) / 4.0
+    two, three, four = (np.zeros((0, columns), dtype=np.int32) for columns in (2, 3, 4))
+    none = np.zeros(0)
+    return Complex(exponent, order[along], edges, values, three, none, four, none, three, four, two)
 
 
 def squared_pairs(made: Complex, dimension: int) -> list[Rows]:
@@ -155,34 +132,21 @@ def squared_pairs(made: Complex, dimension: int) -> list[Rows]:
         parents = np.arange(len(made.triangles) + 1, dtype=np.int32)
         state = np.zeros(len(made.edges), dtype=np.int8)
         looping, killing = reduction.voids(made.sides, edge_order, made.triangle_values, parents, state)
-        return [
-            *rows,
-            _rows(made.edge_values, made.edges, looping, made.triangle_values, made.triangles, killing),
-        ]
-    state, parents = reduction.apparent_voids(
-        made.cell_values, made.triangle_values, made.of_cell, made.sides
-    )
-    apparent = reduction.apparent_loops(made.triangle_values, made.edge_values, made.of_triangle, state)
-    left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
-    left = left[reduction.increasing(made.triangle_values[left])]
-    closing, filling = reduction.voids(made.sides, left, made.cell_values, parents, state)
-    looping, killing = reduction.loops(made.of_triangle, left, state, edge_order, merges, apparent)
-    rows += [
-        _rows(made.edge_values, made.edges, looping, made.triangle_values, made.triangles, killing),
-        _rows(made.triangle_values, made.triangles, closing, made.cell_values, made.cells, filling),
-    ]
-    return rows[: dimension + 1]
-
-
-def _rows(
-    values: np.ndarray,
-    simplices: np.ndarray,
-    births: np.ndarray,
-    ends: np.ndarray,
-    cofaces: np.ndarray,
-    deaths: np.ndarray,
-) -> Rows:
-    return values[births], ends[deaths], simplices[births], cofaces[deaths]
+        voids: list[Rows] = []
+    else:
+        state, parents = reduction.apparent_voids(
+            made.cell_values, made.triangle_values, made.of_cell, made.sides
+        )
+        apparent = reduction.apparent_loops(made.triangle_values, made.edge_values, made.of_triangle, state)
+        left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
+        left = left[reduction.increasing(made.triangle_values[left])]
+        closing, filling = reduction.voids(made.sides, left, made.cell_values, parents, state)
+        looping, killing = reduction.loops(made.of_triangle, left, state, edge_order, merges, apparent)
+        ends = made.triangle_values[closing], made.cell_values[filling]
+        voids = [(*ends, made.triangles[closing], made.cells[filling])]
+    ends = made.edge_values[looping], made.triangle_values[killing]
+    loops = (*ends, made.edges[looping], made.triangles[killing])
+    return [*rows, loops, *voids][: dimension + 1]
 
 
 def sorted_rows(rows: Rows, names: np.ndarray) -> Rows:
@@ -191,12 +155,8 @@ def sorted_rows(rows: Rows, names: np.ndarray) -> Rows:
     keep = np.flatnonzero(deaths - births > ROUNDING * deaths).astype(np.int32)
     keep = keep[reduction.increasing(deaths[keep])]
     keep = keep[reduction.increasing(births[keep])]
-    return (
-        births[keep],
-        deaths[keep],
-        named(birth_simplices, keep, names),
-        named(death_simplices, keep, names),
-    )
+    simplices = [named(each, keep, names) for each in (birth_simplices, death_simplices)]
+    return births[keep], deaths[keep], simplices[0], simplices[1]
 
 
 @njit("int64[:,::1](int32[:,:], int32[::1], int32[::1])", cache=True, nogil=True)

@@ -18,13 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from paper_artifact.alpha.persistence import (
-    alpha_persistence,
-    canonical_order,
-    check_points,
-    in_threads,
-    is_batch,
-)
+from paper_artifact.alpha.persistence import alpha_persistence, canonical_order, check_points, of_each
 from paper_artifact.alpha.radii import TOLERANCE, radius_and_gradient
 from paper_artifact.errors import InputError
 
@@ -40,6 +34,7 @@ class DiagramTensor:
         return len(self.bars)
 
 
+@of_each
 def alpha_diagrams(
     points: Tensor | np.ndarray,
     *,
@@ -56,14 +51,6 @@ def alpha_diagrams(
     Gabriel gate, relative 1e-6, is detached. A batch (b,n,d) or a list of clouds gives a list of such tuples.
     Raises InputError as `alpha_persistence` does: other shapes, complex numbers, NaN.
     """
-    options: dict[str, Any] = {
-        "infinite": infinite,
-        "squared": squared,
-        "max_dimension": max_dimension,
-        "max_radius": max_radius,
-    }
-    if is_batch(points):
-        return in_threads(lambda cloud: alpha_diagrams(cloud, **options), points)
     checked = check_points(points)
     if not isinstance(points, Tensor) or not points.is_floating_point():
         points = torch.from_numpy(checked)
@@ -72,7 +59,8 @@ def alpha_diagrams(
     if cloud.shape[1] == 2:
         cloud = torch.nn.functional.pad(cloud, (0, 1))
     made = []
-    for pairs in alpha_persistence(checked[order], as_given=True, **(options | {"squared": False})):
+    limits: dict[str, Any] = {"max_dimension": max_dimension, "max_radius": max_radius}
+    for pairs in alpha_persistence(checked[order], as_given=True, infinite=infinite, **limits):
         births, born = _radii(cloud, pairs.birth_simplices, pairs.births)
         deaths, died = _radii(cloud, pairs.death_simplices, pairs.deaths)
         bars, gabriel = torch.stack([births, deaths], dim=1), torch.stack([born, died], dim=1)

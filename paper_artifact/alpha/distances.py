@@ -163,7 +163,8 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     """
     if not (order >= 1 and internal >= 1):
         raise InputError(f"order is {order} and internal {internal}; give numbers of at least 1")
-    x, y = _bars(a), _bars(b)
+    x: Any = _bars(a)
+    y: Any = _bars(b)
     never = [np.flatnonzero(np.isinf(each[:, 1])) for each in (x, y)]
     if len(never[0]) != len(never[1]):
         return np.inf
@@ -177,25 +178,22 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     rows, columns = some_x[rows[real]], some_y[columns[real]]
     left = np.setdiff1d(some_x, rows), np.setdiff1d(some_y, columns)
     by_birth = never[0][np.argsort(x[never[0], 0])], never[1][np.argsort(y[never[1], 0])]
-    if not (hasattr(a, "detach") or hasattr(b, "detach")):
-        costs = [
-            np.linalg.norm(x[rows] - y[columns], internal, axis=1),
-            *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
-            np.abs(x[by_birth[0], 0] - y[by_birth[1], 0]),
-        ]
-        return float(np.linalg.norm(np.concatenate(costs), order))
-    import torch
+    tensors = [each for each in (a, b) if hasattr(each, "detach")]
+    norm: Any = np.linalg.norm
+    if tensors:
+        import torch
 
-    like = a if hasattr(a, "detach") else b
-    a, b = (
-        each if hasattr(each, "detach") else torch.as_tensor(bars).to(like) for each, bars in ((a, x), (b, y))
-    )
+        norm = torch.linalg.vector_norm
+        x, y = (
+            each if hasattr(each, "detach") else torch.as_tensor(bars).to(tensors[0])
+            for each, bars in ((a, x), (b, y))
+        )
     parts = [
-        torch.linalg.vector_norm(a[rows] - b[columns], internal, dim=1),
-        *(half * (each[some, 1] - each[some, 0]) for each, some in zip((a, b), left, strict=True)),
-        (a[by_birth[0], 0] - b[by_birth[1], 0]).abs(),
+        norm(x[rows] - y[columns], internal, -1),
+        *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
+        abs(x[by_birth[0], 0] - y[by_birth[1], 0]),
     ]
-    return torch.linalg.vector_norm(torch.cat(parts), order)
+    return norm(torch.cat(parts), order) if tensors else float(norm(np.concatenate(parts), order))
 
 
 def persistence_image(

@@ -67,10 +67,20 @@ def dd_mul(x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float
     return s, e - (s - p)
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _append(ws: np.ndarray, place: int, value: float) -> int:
+    """Write a value that is not 0 to ws[place]; return the place of the next."""
+    if value == 0.0:
+        return place
+    ws[place] = value
+    return place + 1
+
+
 @njit("int64(float64[::1], int64, int64, int64, int64, int64)", cache=True, nogil=True)
 def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
     """Write the sum of two expansions to ws[h:], zeros left out; return its length (Shewchuk, fast sum)."""
-    i = j = n = 0
+    i = j = 0
+    place = h
     q = 0.0
     for step in range(ne + nf):
         if j >= nf or (i < ne and abs(ws[e + i]) < abs(ws[f + j])):
@@ -83,13 +93,8 @@ def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
             q = term
             continue
         q, low = two_sum(q, term)
-        if low != 0.0:
-            ws[h + n] = low
-            n += 1
-    if q != 0.0:
-        ws[h + n] = q
-        n += 1
-    return n
+        place = _append(ws, place, low)
+    return _append(ws, place, q) - h
 
 
 @njit("int64(float64[::1], int64, int64, float64, int64)", cache=True, nogil=True)
@@ -97,25 +102,15 @@ def _scale(ws: np.ndarray, e: int, ne: int, b: float, h: int) -> int:
     """Write b times an expansion to ws[h:], zeros left out; return its length."""
     if ne == 0 or b == 0.0:
         return 0
-    n = 0
     q, low = two_product(ws[e], b)
-    if low != 0.0:
-        ws[h] = low
-        n = 1
+    place = _append(ws, h, low)
     for i in range(1, ne):
         p, p_low = two_product(ws[e + i], b)
         q, low = two_sum(q, p_low)
-        if low != 0.0:
-            ws[h + n] = low
-            n += 1
+        place = _append(ws, place, low)
         q, low = two_sum(p, q)
-        if low != 0.0:
-            ws[h + n] = low
-            n += 1
-    if q != 0.0:
-        ws[h + n] = q
-        n += 1
-    return n
+        place = _append(ws, place, low)
+    return _append(ws, place, q) - h
 
 
 ADD, SUBTRACT, MULTIPLY = 0, 1, 2
@@ -199,12 +194,7 @@ def exact(
         for k in range(3):
             high, low = two_sum(points[rows[i], k], -points[rows[vectors], k])
             loc[3 * i + k, 0] = top
-            if low != 0.0:
-                ws[top] = low
-                top += 1
-            if high != 0.0:
-                ws[top] = high
-                top += 1
+            top = _append(ws, _append(ws, top, low), high)
             loc[3 * i + k, 1] = top - loc[3 * i + k, 0]
     out = 0
     for s in range(len(steps)):

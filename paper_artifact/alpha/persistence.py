@@ -14,7 +14,8 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,32 @@ class Pairs:
         return np.column_stack([self.births, self.deaths])
 
 
+def is_batch(points: Any) -> bool:
+    """Return whether `points` are several clouds: an array or tensor (b, n, d), or a list of such (n, d)."""
+    if isinstance(points, (list, tuple)):
+        return any(getattr(each, "ndim", 0) == 2 for each in points)
+    return getattr(points, "ndim", 0) == 3
+
+
+def in_threads(work: Callable, clouds: Iterable) -> Any:
+    """Return [work(cloud) for each cloud], one thread for each core: the kernels hold no lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(work, clouds))
+
+
+def of_each(function: Callable) -> Any:
+    """Return the function of one cloud as a function of a cloud, or of several: then a list, in threads."""
+
+    @wraps(function)
+    def call(points: Any, *arguments: Any, **options: Any) -> Any:
+        if is_batch(points):
+            return in_threads(lambda cloud: function(cloud, *arguments, **options), points)
+        return function(points, *arguments, **options)
+
+    return call
+
+
+@of_each
 def alpha_persistence(
     points: Any,
     method: str = "fast",
@@ -77,16 +104,6 @@ def alpha_persistence(
     Raises InputError for another shape, coordinates that are not finite real numbers of at most 2^1022, an
     unknown method or option, or squares beyond the range of float64.
     """
-    options: dict[str, Any] = {
-        "infinite": infinite,
-        "squared": squared,
-        "max_dimension": max_dimension,
-        "max_radius": max_radius,
-    }
-    if is_batch(points):
-        return in_threads(
-            lambda cloud: alpha_persistence(cloud, method, progress, as_given=as_given, **options), points
-        )
     points = check_points(points)
     top = points.shape[1] - 1 if max_dimension is None else max_dimension
     if top not in range(points.shape[1]):
@@ -96,28 +113,12 @@ def alpha_persistence(
     if method not in ("fast", "gudhi"):
         raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
     order = np.arange(len(points)) if as_given else canonical_order(points)
-    how: dict[str, Any] = {"progress": progress, "top": top, "squared": squared, "names": order}
-    if method == "fast":
-        found = fast_persistence(points[order], **how)
-    else:
-        found = gudhi_persistence(points[order], **how)
+    by: Callable = fast_persistence if method == "fast" else gudhi_persistence
+    found = by(points[order], progress=progress, top=top, squared=squared, names=order)
+    if infinite:
+        found = (_with_the_first_component(found[0], points), *found[1:])
     limit = max_radius**2 if squared else max_radius
-    return tuple(
-        _ended(pairs, points, infinite, limit, dimension) for dimension, pairs in enumerate(found[: top + 1])
-    )
-
-
-def is_batch(points: Any) -> bool:
-    """Return whether `points` are several clouds: an array or tensor (b, n, d), or a list of such (n, d)."""
-    if isinstance(points, (list, tuple)):
-        return any(getattr(each, "ndim", 0) == 2 for each in points)
-    return getattr(points, "ndim", 0) == 3
-
-
-def in_threads(work: Callable, clouds: Iterable) -> Any:
-    """Return [work(cloud) for each cloud], one thread for each core: the kernels hold no lock."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(work, clouds))
+    return tuple(_ended(pairs, infinite, limit) for pairs in found)
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
@@ -161,6 +162,21 @@ def check_points(points: Any) -> np.ndarray:
     return points
 
 
+def _stages(progress: Progress | None, clock: dict[str, float] | None) -> Progress:
+    """Return begin(stage): says which begins, and writes the CPU seconds of the one before into `clock`."""
+    running: list[tuple[str, float]] = []
+
+    def begin(stage: str) -> None:
+        if running and clock is not None:
+            before, since = running.pop()
+            clock[before] = time.process_time() - since
+        if progress is not None and stage:
+            progress(stage)
+        running.append((stage, time.process_time()))
+
+    return begin
+
+
 def fast_persistence(
     points: np.ndarray,
     clock: dict[str, float] | None = None,
@@ -176,15 +192,15 @@ def fast_persistence(
     """
     from paper_artifact.alpha import complex as alpha_complex  # compiled code: loaded only where it is used
 
-    stages = _Stages(progress)
-    made = alpha_complex.build(_in_space(points), stages.begin)
-    stages.begin("reduction")
+    begin = _stages(progress, clock)
+    made = alpha_complex.build(_in_space(points), begin)
+    begin("reduction")
     rows = alpha_complex.squared_pairs(made, top)
-    stages.begin("pairs")
+    begin("pairs")
     called = made.names if names is None else names[made.names].astype(np.int32)
     found = [_pairs(alpha_complex.sorted_rows(each, called), made.exponent, squared) for each in rows]
     found += [_empty(dimension) for dimension in range(len(found), top + 1)]
-    stages.end(clock)
+    begin("")
     return tuple(found)
 
 
@@ -207,16 +223,16 @@ def gudhi_persistence(
 
     from paper_artifact.alpha.complex import sorted_rows
 
-    stages = _Stages(progress)
-    stages.begin("delaunay")
+    begin = _stages(progress, clock)
+    begin("delaunay")
     complex_ = gudhi.AlphaComplex(points=points, precision=precision)
-    stages.begin("filtration")
+    begin("filtration")
     tree = complex_.create_simplex_tree()
-    stages.begin("reduction")
+    begin("reduction")
     rows: tuple[list, list, list] = ([], [], [])
     if tree.num_simplices() > 0:
         tree.compute_persistence(homology_coeff_field=2, min_persistence=0)
-        stages.begin("pairs")
+        begin("pairs")
         for birth, death in tree.persistence_pairs():
             if death and len(birth) <= 3:
                 rows[len(birth) - 1].append((tree.filtration(birth), tree.filtration(death), birth, death))
@@ -231,7 +247,7 @@ def gudhi_persistence(
             for each, corners in zip(simplices, width, strict=True)
         )
         found.append(_pairs(sorted_rows((*ends, born, died), called), 0, squared))
-    stages.end(clock)
+    begin("")
     return tuple(found)
 
 
@@ -239,9 +255,7 @@ def gudhi_persistence(
 class Filtration:
     """The alpha complex of a cloud: its simplices of dimensions 0 to 3 and the radii that they enter at."""
 
-    simplices: tuple[
-        np.ndarray, ...
-    ]  # of dimension d: (k, d+1) int64 indices into the points, rows increasing
+    simplices: tuple[np.ndarray, ...]  # of dimension d: (k, d+1) int64 indices into the points, increasing
     radii: tuple[np.ndarray, ...]  # of dimension d: (k,) float64, unit of the points; never above a coface's
     lengths: np.ndarray  # (e,) float64: of the edges
 
@@ -310,27 +324,6 @@ def alpha_filtration(points: Any) -> Filtration:
     return Filtration(simplices, radii, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
 
-class _Stages:
-    """Which stage runs since when, in CPU seconds of this process."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.progress = progress
-        self.begun: list[tuple[str, float]] = []
-
-    def begin(self, stage: str) -> None:
-        """Note that `stage` begins now, and say so."""
-        if self.progress is not None:
-            self.progress(stage)
-        self.begun.append((stage, time.process_time()))
-
-    def end(self, clock: dict[str, float] | None) -> None:
-        """Write the seconds of each stage into `clock`, if there is one."""
-        if clock is not None:
-            ends = [begin for _, begin in self.begun[1:]] + [time.process_time()]
-            for (stage, begin), end in zip(self.begun, ends, strict=True):
-                clock[stage] = end - begin
-
-
 def _in_space(points: np.ndarray) -> np.ndarray:
     """Return (n, 2) points as (n, 3) with the height 0."""
     return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
@@ -353,29 +346,31 @@ def _pairs(rows: tuple, exponent: int, squared: bool) -> Pairs:
     return Pairs(*values, *simplices)
 
 
-def _ended(pairs: Pairs, points: np.ndarray, infinite: bool, limit: float, dimension: int) -> Pairs:
+def _with_the_first_component(pairs: Pairs, points: np.ndarray) -> Pairs:
+    """Return the bars of dimension 0 with that of the component that never dies; of no points, none."""
+    born = pairs.birth_simplices[:, 0]
+    left = np.setdiff1d(np.arange(len(points)), born)
+    if len(left) > 1:  # duplicates: the point that no other component starts at
+        started = {point.tobytes() for point in points[born] + 0.0}
+        left = np.array([row for row in left if (points[row] + 0.0).tobytes() not in started])
+    first = left[:1, None]
+    return Pairs(
+        np.append(pairs.births, np.zeros(len(first))),
+        np.append(pairs.deaths, np.full(len(first), np.inf)),
+        np.vstack([pairs.birth_simplices, first]),
+        np.vstack([pairs.death_simplices, np.full((len(first), 2), NOBODY)]),
+    )
+
+
+def _ended(pairs: Pairs, infinite: bool, limit: float) -> Pairs:
     """Return the bars of a filtration that ends at `limit`, with those that never die if `infinite`."""
-    if infinite and dimension == 0 and len(points):
-        born = pairs.birth_simplices[:, 0]
-        left = np.setdiff1d(np.arange(len(points)), born)
-        if len(left) > 1:  # duplicates: the point that no other component starts at
-            started = {point.tobytes() for point in points[born] + 0.0}
-            left = np.array([row for row in left if (points[row] + 0.0).tobytes() not in started])
-        pairs = Pairs(
-            np.append(pairs.births, 0.0),
-            np.append(pairs.deaths, np.inf),
-            np.vstack([pairs.birth_simplices, left[:1, None]]),
-            np.vstack([pairs.death_simplices, [[NOBODY, NOBODY]]]),
-        )
     if limit == np.inf:
         return pairs
     alive = pairs.deaths > limit
     keep = (pairs.births <= limit) & (infinite | ~alive)
-    ended = replace(
-        pairs,
-        deaths=np.where(alive, np.inf, pairs.deaths),
-        death_simplices=np.where(alive[:, None], NOBODY, pairs.death_simplices),
-    )
     return Pairs(
-        ended.births[keep], ended.deaths[keep], ended.birth_simplices[keep], ended.death_simplices[keep]
+        pairs.births[keep],
+        np.where(alive, np.inf, pairs.deaths)[keep],
+        pairs.birth_simplices[keep],
+        np.where(alive[:, None], NOBODY, pairs.death_simplices)[keep],
     )
