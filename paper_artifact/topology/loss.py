@@ -24,6 +24,7 @@ wanted bars are not pulled at all.
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
@@ -103,6 +104,11 @@ class PlannedLoss(ABC):
         Differentiable once. Raises InputError as `refresh` does, and when refresh_every is 0 and `refresh`
         was never called.
         """
+        if not isinstance(points, Tensor):
+            raise InputError(
+                f"the loss needs a torch tensor, got {type(points).__name__}; give "
+                "torch.tensor(points, requires_grad=True)"
+            )
         if not points.is_floating_point() or points.ndim != 2 or points.shape[1] != 3:
             raise InputError(
                 "the loss needs floating-point points of shape (M, 3), "
@@ -143,21 +149,41 @@ class TopologyLoss(PlannedLoss):
         return build_plan(cloud, self.bundle, self.config)
 
 
+PRESETS: dict[str, dict[str, Any]] = {
+    # Nothing else moves bare points: pull classes out of the noise, push all others to the diagonal (T2).
+    "points": {"guard": 0.0, "suppress": "all"},
+    # Images move a soup: pull only what is seen, push only what is no noise (T1).
+    "soup": {},
+}
+
+
 class BettiLoss(PlannedLoss):
     """Loss of M points that are to have the Betti numbers `betti`.
 
-    diagonal: the unit of the loss, world units; None takes the bounding box of the first points it sees.
-    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for
-    example guard=0, suppress="all" (condition T2), refresh_every=0 (only `refresh` makes a plan). Raises
-    InputError for other than three whole numbers b0 >= 1, b1 >= 0, b2 >= 0, and as `TopologyLoss` does.
+    preset: "points" acts on bare points, which nothing else moves; "soup" on samples of a surface that images
+    move too (condition T1). diagonal: the unit of the loss, world units; None takes the bounding box of the
+    first points it sees. seed: of the noise that only the plan sees; settings: fields of
+    `paper_artifact.config.LossConfig`, over the preset's, for example dimensions=(1,), refresh_every=0 (only
+    `refresh` makes a plan). A wanted class that the guard keeps the loss from is a Python warning, once.
+    Raises InputError for other than three whole numbers b0 >= 1, b1 >= 0, b2 >= 0, an unknown preset, and as
+    `TopologyLoss` does.
     """
 
     def __init__(
-        self, betti: tuple[int, ...], *, diagonal: float | None = None, seed: int = 0, **settings: Any
+        self,
+        betti: tuple[int, ...],
+        preset: str = "points",
+        *,
+        diagonal: float | None = None,
+        seed: int = 0,
+        **settings: Any,
     ) -> None:
-        super().__init__(LossConfig("betti"), {"betti": betti, **settings}, seed)
+        if preset not in PRESETS:
+            raise InputError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+        super().__init__(LossConfig("betti"), {"betti": betti, **PRESETS[preset], **settings}, seed)
         self.betti = self.config.betti or ()
         self.statement = None if diagonal is None else Statement(self.betti, diagonal)
+        self._warned = False
 
     def frame(self, points: np.ndarray) -> Statement:
         """Return the statement, in the unit of the first points (M,3)."""
@@ -172,7 +198,16 @@ class BettiLoss(PlannedLoss):
     def make(self, cloud: np.ndarray) -> Plan:
         """Return the plan of `cloud` (M,3), divided by the diagonal."""
         assert self.statement is not None
-        return build_betti_plan(cloud, self.statement, self.config)
+        plan = build_betti_plan(cloud, self.statement, self.config)
+        missed = sum(each["unreached"] for each in plan.report["dimensions"].values())
+        if missed and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"the loss does not act on {missed} of the wanted classes: no bar of theirs is longer than "
+                f"{self.config.guard:g} of the floor; a smaller guard pulls them out of the noise",
+                stacklevel=4,
+            )
+        return plan
 
 
 def build_betti_plan(cloud: np.ndarray, statement: Statement, config: LossConfig) -> Plan:
