@@ -91,12 +91,6 @@ def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
     assert resampler is None and start.shape == (len(mesh.vertices),) and 0 <= start.min() < start.max() <= 1
 
 
-def test_a_target_without_features_is_refused():
-    points = np.random.default_rng(0).random((100, 3))
-    with pytest.raises(InputError, match="no significant feature at M = 100"):
-        feature_kernels(points, 3**0.5, 1.0)
-
-
 def soup_of(count: int, seed: int = 0) -> Soup:
     parts = random_soup(seed, count, 0.3)
     opacity = torch.logit(parts["opacity"]).float()
@@ -157,7 +151,9 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
     assert late_report.after == late_report.pruned == len(late)  # nothing is made when nothing is split
 
 
-def test_a_share_of_less_than_a_triangle_is_refused():
+def test_a_share_of_less_than_a_triangle_and_a_target_without_features_are_refused():
+    with pytest.raises(InputError, match="no significant feature at M = 100"):
+        feature_kernels(np.random.default_rng(0).random((100, 3)), 3**0.5, 1.0)
     with pytest.raises(InputError, match="budget of 3 triangles is smaller than the protected share"):
         config = replace(study_config("sphere", "B2"), budget=3)
         allocating_resampler(config, config.allocation, lambda points: points[:, 0])

@@ -43,10 +43,6 @@ def near_degenerate(k: int) -> np.ndarray:
     return bases[k % 3] + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
-def cross(p: list[Fraction], q: list[Fraction]) -> list[Fraction]:
-    return [p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)]
-
-
 def dot(p: list[Fraction], q: list[Fraction]) -> Fraction:
     return sum((x * y for x, y in zip(p, q, strict=True)), Fraction(0))
 

@@ -7,9 +7,7 @@ what to do, no trace, folders as before.
 from __future__ import annotations
 
 import functools
-import json
 import shlex
-import shutil
 import sys
 
 import pytest
@@ -17,8 +15,8 @@ import trimesh
 
 from paper_artifact import cli
 from paper_artifact.mesh import mesh_hash
-from paper_artifact.pipeline import run
 from paper_artifact.record.store import make_record, write_record
+from paper_artifact.scene.fetch import fetch
 from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import tiny_arguments, tiny_config
 
@@ -84,40 +82,21 @@ TRAIN = [
     ("sphere --condition C99", "C99"),
     ("sphere --device tpu", "unknown device 'tpu'"),
     ("sphere --steps -5", "steps must be at least 1, got -5"),
-    ("sphere --steps=0", "steps must be at least 1"),
     ("sphere --seed=-1", "seed must be at least 0"),
     ("sphere --threads=0", "--threads must be at least 1"),
-    ("sphere --set=budget=0", "budget must be at least 1"),
     ("sphere --set=budget=many", "budget takes a value of kind int, got 'many'"),
-    ("sphere --set=budget=2.5", "budget takes a value of kind int, got 2.5"),
-    ("sphere --set=views=1", "views must be at least 2"),
-    ("sphere --set=size=9", "at least 22 pixels"),
     ("sphere --set=budget=" + "1+" * 20_000 + "1", "'1+1+1+"),
     ("sphere --set=budget=" + "-" * 100_000 + "1", "'-----"),
-    ("sphere --set=vertex_lr=-1", "vertex_lr must be positive"),
     ("sphere --set=vertex_lr=1e999", "vertex_lr takes a value of kind float, got inf"),
-    ("sphere --set=dump_steps=5.5", "dump_steps takes a value of kind tuple"),
     ("sphere --set=dump_steps=(5,9999)", "dump_steps must be a tuple of steps in 1"),
-    ("sphere --set=topology=5", "unknown setting topology; choose among shape"),
-    ("sphere --set=background=grey", "unknown background 'grey'; choose one of white, black"),
     ("sphere --set=steps=5", "steps has an argument of its own"),
     ("sphere --set=loss=5", "loss has an argument of its own"),
     ("sphere --set budget", "--set takes NAME=VALUE"),
     ("sphere --loss rho=0.2", "condition C0 has no loss, so it takes no loss settings (rho)"),
-    ("sphere --condition C1 --loss lambda=0.2", "unknown setting lambda; choose among kind, rho, ramp"),
     ("sphere --condition C1 --loss rho", "--loss takes NAME=VALUE, got 'rho'"),
-    ("sphere --condition C1 --loss rho=many", "rho takes a value of kind float, got 'many'"),
-    ("sphere --condition C1 --loss rho=0", "rho must be positive, got 0"),
-    ("sphere --condition C1 --loss samples=2", "samples must be at least 4, got 2"),
     ("sphere --condition C1 --loss samples=2e3", "samples takes a value of kind int, got 2000.0"),
-    ("sphere --condition C1 --loss dimensions=3", "dimensions must be some of 0, 1, 2, or None"),
     ("sphere --condition C1 --loss dimensions=()", "dimensions must be some of 0, 1, 2, or None"),
     ("sphere --condition C1 --loss ramp=(0.5,0.2)", "ramp must be two fractions 0 <= start < end <= 1"),
-    ("sphere --condition C1 --loss noise=-1.0", "noise must be at least 0, got -1.0"),
-    ("sphere --condition C1 --loss refresh_every=0", "refresh_every must be at least 1 in a run, got 0"),
-    ("sphere --condition C1 --loss kind=homology", "unknown kind 'homology'; choose one of topology"),
-    ("sphere --condition C1 --loss fallback=skip", "unknown fallback 'skip'; choose one of detach"),
-    ("sphere --condition C1 --loss recruitment=3", "recruitment takes a value of kind bool, got 3"),
 ]
 OTHERS = [
     ("scene --shape spher --out out", "unknown shape 'spher'; choose one of sphere, cube"),
@@ -192,17 +171,15 @@ def test_a_mirror_without_the_file(tmp_path, monkeypatch, refused, capsys):
     assert first.startswith("spot: the mirror ") and "has no readable" in first and "add the file" in first
     assert not (tmp_path / "out").exists()
 
-    from paper_artifact.scene import shapes
-
-    downloads = tmp_path / "downloads"
-    monkeypatch.setattr(shapes, "mesh_path", functools.partial(shapes.mesh_path, downloads=downloads))
+    elsewhere = functools.partial(fetch, downloads=tmp_path / "downloads", quiet=True)
+    monkeypatch.setattr("paper_artifact.scene.shapes.mesh_path", lambda key: elsewhere(key).path)
     for folder, words in ((mirror, "has no readable"), (str(tmp_path / "nowhere"), "is no folder")):
         monkeypatch.setenv("PAPER_ARTIFACT_MIRROR", folder)
         refused(["train", "spot", "--quiet", "--results", tmp_path / "results"], words)
 
 
 def test_a_record_that_is_not_one(refused, tmp_path):
-    """Cut in half, of another kind, version or default: each is named, and what to do."""
+    """How else a record is refused: test_record."""
     mesh = make_shape("sphere")
     sections = {"images": {"psnr": 20.0, "ssim": 0.5}, "soup": {"triangles": 1}, "cpu_seconds": 1.0}
     sections["mesh"] = {"name": mesh.name, "sha256": mesh_hash(mesh), "dimension": 2}
@@ -210,34 +187,5 @@ def test_a_record_that_is_not_one(refused, tmp_path):
     path = write_record(record, tmp_path / "results" / "runs")
     arguments = [*tiny_arguments(), "--results", str(tmp_path / "results")]
     assert cli.main(arguments) == 0  # whole, it is taken for the run
-    text = path.read_text()
-    written = json.loads(text)
-    for changed, *words in (
-        (text[: len(text) // 2], "damaged or cut off", "delete it and run again"),
-        ("{}", "no run record"),
-        (written | {"version": 1}, "has version 1, this code reads 2; run it again"),
-        (written | {"defaults": 99}, "the defaults' version 99 is unknown to this code", "run it again"),
-        (
-            written | {"config": written["config"] | {"colour": "red"}},
-            "unknown setting colour",
-            "run it again",
-        ),
-    ):
-        path.write_text(changed if isinstance(changed, str) else json.dumps(changed))
-        refused(arguments, str(path), *words)
-
-
-def test_a_checkpoint_cut_in_half(refused, tiny_results, tmp_path):
-    results = tmp_path / "results"
-    shutil.copytree(tiny_results, results)
-
-    def stop(step, text):
-        if step == 15:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(tiny_config(), results=results, progress=stop, device="cpu")
-    (path,) = (results / "checkpoints").iterdir()
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    arguments = [*tiny_arguments(), "--results", results]
-    refused(arguments, str(path), "is damaged", "delete it to start the run anew")
+    path.write_text(path.read_text()[:1000])
+    refused(arguments, str(path), "damaged or cut off", "delete it and run again")

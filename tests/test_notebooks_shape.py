@@ -9,7 +9,6 @@ import re
 import nbformat
 import pytest
 
-from paper_artifact.files import REPOSITORY
 from paper_artifact.notebooks import NOTEBOOKS, cleaned
 
 FILES = sorted(NOTEBOOKS.glob("*.ipynb"))
@@ -34,13 +33,8 @@ def is_parameters(cell):
     return "parameters" in cell.metadata.get("tags", [])
 
 
-def test_there_are_notebooks_and_their_names_give_an_order():
-    assert FILES
-    assert all(re.fullmatch(r"\d\d_[a-z0-9_]+", path.stem) for path in FILES), "NN_name.ipynb"
-    assert len({path.stem[:2] for path in FILES}) == len(FILES)
-
-
-def test_opens_with_a_title_and_its_parameters(notebook):
+def test_opens_with_a_title_and_its_parameters(path, notebook):
+    assert re.fullmatch(r"\d\d_[a-z0-9_]+", path.stem), "NN_name.ipynb"
     assert notebook.cells[0].cell_type == "markdown" and notebook.cells[0].source.startswith("# ")
     code = code_cells(notebook)
     assert [is_parameters(cell) for cell in code] == [True] + [False] * (len(code) - 1), (
@@ -49,16 +43,12 @@ def test_opens_with_a_title_and_its_parameters(notebook):
     assert re.search(r'^profile\s*=\s*"recorded"', code[0].source, re.MULTILINE), "run-all injects `profile`"
 
 
-def test_cells_are_short(notebook):
+def test_cells_are_short_and_were_executed_in_order(notebook):
+    counts = [cell.execution_count for cell in code_cells(notebook)]
+    assert counts == list(range(1, len(counts) + 1))
     for cell in code_cells(notebook):
         assert sum(bool(line.strip()) for line in cell.source.splitlines()) <= 25, cell.source
         assert "sys.path" not in cell.source
-
-
-def test_every_code_cell_was_executed_in_order(notebook):
-    assert [cell.execution_count for cell in code_cells(notebook)] == list(
-        range(1, len(code_cells(notebook)) + 1)
-    )
 
 
 def test_outputs_are_clean(notebook):
@@ -109,8 +99,3 @@ def test_is_as_refresh_writes_it(path, notebook):
     """Written by `run-all --refresh`: no times, no injected cell. Also small enough for the repository."""
     assert path.read_text(encoding="utf-8") == nbformat.writes(cleaned(notebook)) + "\n"
     assert path.stat().st_size < 2_000_000
-
-
-def test_strict_nbval_is_what_runs():
-    script = (REPOSITORY / "test.sh").read_text()
-    assert re.search(r"pytest --nbval --nbval-current-env notebooks", script) and "nbval-lax" not in script

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from paper_artifact.randomness import stream
@@ -15,7 +15,7 @@ from paper_artifact.raster import twin
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.photometric import make_target
-from paper_artifact.raster.threads import one_torch_thread, set_thread_count, thread_count
+from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.raster.view import PhotometricStep, ViewRaster, make_camera, to_clip
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FAR, NEAR
@@ -24,12 +24,11 @@ from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.loop import train
-from tests.raster_cases import BACKGROUND, cameras, distance, doubles, front_camera, soup_arrays
+from tests.raster_cases import BACKGROUND, cameras, distance, doubles, soup_arrays
 from tests.tiny_run import STEPS, tiny_config
 
 HEIGHT, WIDTH, BATCH = 45, 62, 3
 NAMES = ("vertices", "features", "opacity", "w1", "c1", "w2", "c2", "w3", "c3")
-ODD_SIZES = [(22, 23), (23, 67), (67, 22), (31, 33), (64, 45)]
 
 
 class Case(NamedTuple):
@@ -87,14 +86,6 @@ def case() -> Case:
     return make_case()
 
 
-@pytest.fixture
-def two_threads():
-    before = thread_count()
-    set_thread_count(2)
-    yield
-    set_thread_count(before)
-
-
 def check_against_twin(case: Case) -> None:
     loss, gradients = case.step()
     leaves = [leaf.requires_grad_() for leaf in doubles(case.soup)]
@@ -106,14 +97,10 @@ def check_against_twin(case: Case) -> None:
         assert distance(gradient, leaf.grad) < 1e-4, name
 
 
-@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), *ODD_SIZES])
-def test_loss_and_gradients_are_the_twins(size):
-    case = make_case(seed=sum(size), size=size)
-    assert case.flips() == 0
-    check_against_twin(case)
-
-
 @settings(max_examples=15, deadline=None, derandomize=True, database=None)
+@example(seed=107, triangles=60, height=HEIGHT, width=WIDTH, views=BATCH)
+@example(seed=90, triangles=60, height=23, width=67, views=BATCH)
+@example(seed=89, triangles=60, height=67, width=22, views=BATCH)
 @given(
     seed=st.integers(10, 10**6),
     triangles=st.integers(5, 200),
@@ -125,28 +112,6 @@ def test_any_soup_at_any_size_has_the_twins_loss_and_gradients(seed, triangles, 
     case = make_case(seed, triangles, (height, width), views)
     assume(case.flips() == 0)
     check_against_twin(case)
-
-
-@pytest.mark.parametrize("size", ODD_SIZES)
-def test_shading_gradients_are_the_finite_differences_of_the_twins_loss(size):
-    case = make_case(seed=sum(size), size=size)
-    assert case.flips() == 0
-    _, gradients = case.step()
-    values, raster = doubles(case.soup), case.raster()
-    draws = stream(4, "photometric step directions")
-    for index, name in enumerate(NAMES):
-        if name in ("vertices", "opacity"):  # what is seen jumps with them: see the tests below
-            continue
-        gradient = torch.from_numpy(gradients.flat()[index]).double()
-        others = [torch.from_numpy(draws.normal(size=gradient.shape)) for _ in range(2)]
-        for direction in (gradient / gradient.norm(), *others):
-            losses = []
-            for shift in (1e-6, -1e-6):
-                moved = [*values[:index], values[index] + shift * direction, *values[index + 1 :]]
-                losses.append(case.twin_loss(moved, raster)[0].item())
-            difference = (losses[0] - losses[1]) / 2e-6
-            scale = float(gradient.norm() * direction.norm())
-            assert float((gradient * direction).sum()) == pytest.approx(difference, abs=1e-4 * scale), name
 
 
 def test_a_triangle_whose_plane_has_w_infinite_in_the_image_has_the_twins_gradients():
@@ -224,46 +189,6 @@ def flat_soup(vertices: np.ndarray, colours: np.ndarray, opacity: np.ndarray) ->
     )
 
 
-@pytest.mark.parametrize("size", [(66, 67), (51, 45)])
-@one_torch_thread()
-def test_vertex_gradients_are_the_finite_differences_of_the_twins_loss(size):
-    """One triangle over the background: pixels are seen or not, so derivatives need shifts of some pixels.
-
-    Both sides are means over such shifts. The edge gradient takes the loss as linear in an edge's step of
-    colour, which holds for a small step and a target below both colours.
-    """
-    height, width = size
-    triangle = np.array([[[-0.9, -0.8, -0.5], [0.8, -0.3, 0.1], [-0.1, 0.9, -0.2]]])
-    matrix, colours = front_camera().numpy().astype(np.float32), np.array([[0.99, 0.915, 0.81]])
-    row, column = np.mgrid[:height, :width]
-    waves = [np.sin(column / 2.0), np.cos(row / 2.3), np.sin((row + column) / 3.0)]
-    image = (0.3 + 0.25 * np.stack(waves)[None]).astype(np.float32)
-
-    def moved(shift: np.ndarray) -> Case:
-        return Case(flat_soup(triangle + shift, colours, np.ones((1, 3))), matrix, image, [0])
-
-    def twin_loss(shift: np.ndarray) -> float:
-        case = moved(shift)
-        return case.twin_loss(doubles(case.soup), case.raster())[0].item()
-
-    pixel = 4.0 / 1.8 * 2 / height  # world units, at the camera's distance and focal length
-    found, expected = [], []
-    for index in np.ndindex(1, 3, 3):
-        direction = np.zeros((1, 3, 3))
-        direction[index] = 1
-        reach = (6 if index[2] == 2 else 2) * pixel  # depth moves the image less
-        jitter = (np.arange(4) - 1.5) / 4 * pixel
-        differences = [
-            twin_loss((each + reach) * direction) - twin_loss((each - reach) * direction) for each in jitter
-        ]
-        expected.append(np.mean(differences) / (2 * reach))
-        steps = [moved(each * direction).step()[1].vertices for each in np.linspace(-reach, reach, 13)]
-        found.append(np.mean(steps, axis=0)[index])
-    found, expected = np.array(found), np.array(expected)
-    assert found @ expected / (expected @ expected) == pytest.approx(1, abs=0.06)
-    assert np.linalg.norm(found - expected) < 0.08 * np.linalg.norm(expected)
-
-
 def test_opacity_gradients_are_on_average_the_finite_differences_of_the_expected_error():
     """Over the draws, mean |colour - target| is a sum over fragments of the chance that each is the one seen.
 
@@ -339,12 +264,6 @@ def test_a_step_object_keeps_nothing_from_one_call_to_the_next(case):
     assert same(case.step(step), first)
 
 
-def test_one_and_two_threads_give_the_same_bits(case, two_threads):
-    two = case.step()
-    set_thread_count(1)
-    assert same(case.step(), two)
-
-
 def backend_of(case: Case) -> CpuBackend:
     """Return the backend of a scene of four views; the case's three, in their order, are views 3, 0 and 2."""
     order = [3, 0, 2]
@@ -375,10 +294,3 @@ def test_the_cpu_backend_sets_the_soups_gradients(case):
             )
         else:
             assert torch.equal(tensor.grad, gradient), name
-
-
-def test_clip_space_points_are_the_matrix_product():
-    corners = stream(0, "clip test corners").normal(size=(5, 10, 3)).astype(np.float32)
-    matrix = cameras(1, 1)[0].numpy()
-    expected = np.concatenate([corners, np.ones((5, 10, 1))], axis=-1) @ matrix.T
-    np.testing.assert_allclose(to_clip(corners, matrix.astype(np.float32)), expected, rtol=1e-5, atol=1e-5)

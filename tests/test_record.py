@@ -65,11 +65,8 @@ def test_find_records_by_config(tmp_path):
         for condition in ("C0", "C1"):
             write_record(example(replace(CONFIG, seed=seed, condition=condition)), tmp_path)
     assert len(find_records(tmp_path)) == 6
-    found = find_records(tmp_path, condition="C1", seed=(0, 2))
-    assert [(record["config"]["condition"], record["config"]["seed"]) for record in found] == [
-        ("C1", 0),
-        ("C1", 2),
-    ]
+    found = [record["config"] for record in find_records(tmp_path, condition="C1", seed=(0, 2))]
+    assert [(each["condition"], each["seed"]) for each in found] == [("C1", 0), ("C1", 2)]
     assert find_records(tmp_path, budget=700, shape="sphere") == []
     assert find_records(tmp_path / "nothing") == []
 
@@ -153,26 +150,25 @@ def test_changed_records_are_refused(tmp_path, change, reason):
         find_records(tmp_path)
 
 
-def test_half_foreign_misnamed_and_missing_files_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        (lambda text: text[: len(text) // 2], "cut off"),
+        (lambda text: "", "cut off"),
+        (lambda text: "\x89PNG", "cut off|damaged"),
+        (lambda text: "[1, 2]", "no run record"),
+        (lambda text: text.replace('"train":12.346', '"train":NaN'), "NaN"),
+    ],
+)
+def test_half_and_foreign_files_are_refused(tmp_path, change, reason):
     path = write_record(example(), tmp_path)
-    text = path.read_text()
-    path.write_text(text[: len(text) // 2])
-    with pytest.raises(InputError, match="cut off"):
+    path.write_text(change(path.read_text()), encoding="latin-1")
+    with pytest.raises(InputError, match=reason):
         read_record(path)
-    path.write_text("")
-    with pytest.raises(InputError, match="cut off"):
-        read_record(path)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    with pytest.raises(InputError, match="damaged"):
-        read_record(path)
-    path.write_text("[1, 2]")
-    with pytest.raises(InputError, match="no run record"):
-        read_record(path)
-    path.write_text(text.replace('"train":12.346', '"train":NaN'))
-    with pytest.raises(InputError, match="NaN"):
-        read_record(path)
-    path.write_text(text)
-    moved = path.rename(tmp_path / "sphere-C1-s3-0123456789ab.json")
+
+
+def test_misnamed_and_missing_files_are_refused(tmp_path):
+    moved = write_record(example(), tmp_path).rename(tmp_path / "sphere-C1-s3-0123456789ab.json")
     with pytest.raises(InputError, match="misnamed"):
         read_record(moved)
     with pytest.raises(InputError, match="cannot read"):

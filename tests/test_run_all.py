@@ -126,16 +126,6 @@ def test_a_file_that_is_no_notebook_is_named(tmp_path):
     assert outcome.name == "01_noise" and outcome.error and "\n" not in outcome.error
 
 
-def test_own_kernel_is_this_interpreter_and_restores_the_environment(monkeypatch):
-    from jupyter_client.kernelspec import KernelSpecManager
-
-    monkeypatch.setenv("JUPYTER_PATH", "elsewhere")
-    with own_kernel() as name:
-        assert KernelSpecManager().get_kernel_spec(name).argv[0] == sys.executable
-        assert os.environ["JUPYTER_PATH"].endswith(os.pathsep + "elsewhere")
-    assert os.environ["JUPYTER_PATH"] == "elsewhere"
-
-
 def test_choice_of_notebooks(tmp_path):
     for name in ("01_a", "02_b", "02_bc"):
         write_notebook(tmp_path / f"{name}.ipynb")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from paper_artifact import staircase as kit
@@ -22,7 +21,6 @@ from paper_artifact.scene.shapes import find_mesh, make_shape
 from paper_artifact.study.dispositions import polygon_counts, same_certificate
 from paper_artifact.study.studies import STUDIES
 from paper_artifact.topology.bundle import build_from_mesh
-from paper_artifact.topology.floor import significant
 
 BOX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1\n"
 SIDES = ["f 1 5 7 3\n", "f 2 4 8 6\n", "f 1 2 6 5\n", "f 3 7 8 4\n", "f 1 3 4 2\n", "f 5 6 8 7\n"]
@@ -60,13 +58,6 @@ def test_bars_are_the_staircase_s_lifetimes():
     significant_bars = found[found["margin"] > 1].groupby(kit.KEYS).size()
     values = kit.significant_counts(stored).groupby(kit.KEYS)["value"].sum() - 1  # without the infinite bar
     assert significant_bars.to_dict() == values[values > 0].to_dict()
-
-
-def test_significance_by_counts_is_the_floors():
-    lifetimes = (0.5, 0.11, 0.1, 0.05)
-    row = {"floor": 0.1} | {f"h1_{rank}": value for rank, value in enumerate(lifetimes, 1)}
-    assert kit.counts(pd.DataFrame([row]), 1).tolist() == [2]
-    assert significant(np.array([[0, value] for value in lifetimes]), 0.1).sum() == 2
 
 
 def test_margins_decide_as_the_bundles_do():

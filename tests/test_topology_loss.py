@@ -168,17 +168,13 @@ def test_noise_reaches_the_plan_but_not_the_values(void):
     assert TopologyLoss(bundle, noise=0.01, seed=4).refresh(live).report != plan.report
 
 
-def test_float32_points_keep_their_dtype(void):
+def test_float32_points_keep_their_dtype_and_the_live_floor_is_an_option(void):
     bundle, live = void
     points = torch.tensor(live, dtype=torch.float32, requires_grad=True)
     value = TopologyLoss(bundle)(points)
     value.backward()
     assert value.dtype == points.grad.dtype == torch.float32
     assert value.item() == pytest.approx(TopologyLoss(bundle)(torch.tensor(live)).item(), rel=1e-3)
-
-
-def test_live_floor_is_an_option(void):
-    bundle, live = void
     assert build_plan(live / bundle.diagonal, bundle).report["floor"] == bundle.floor
     report = build_plan(live / bundle.diagonal, bundle, LossConfig(floor_source="live")).report
     assert report["floor"] == report["live_floor"] == measurement_floor(live, bundle.diagonal)
@@ -249,13 +245,9 @@ def test_curvature_weights_grow_where_the_surface_bends():
     weights = pair_weights(cube, np.array([[edge, -1], [flat, -1]]))
     assert weights[0] > 2 and weights[1] == 0.25
     assert pair_weights(cube, np.array([[edge, flat]])) == pytest.approx(
-        np.clip(surface_variation(cube)[[edge, flat]].mean() / mean_variation(cube), *CLIP)
+        np.clip(surface_variation(cube)[[edge, flat]].mean() / surface_variation(cube).mean(), *CLIP)
     )
     np.testing.assert_array_equal(pair_weights(cube * [1, 1, 0], np.array([[0, 1], [2, -1]])), [1, 1])
-
-
-def mean_variation(cloud: np.ndarray) -> float:
-    return float(surface_variation(cloud).mean())
 
 
 @pytest.mark.parametrize("settings", [{}, {"curvature_weighted": True}])

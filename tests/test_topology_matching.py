@@ -37,7 +37,7 @@ def brute_force(live, target, factor):
 @pytest.mark.parametrize("components", [False, True])
 @pytest.mark.parametrize("live_count, target_count", [(0, 0), (0, 2), (3, 0), (1, 1), (3, 4), (5, 3)])
 def test_cost_equals_brute_force_on_the_papers_equation(live_count, target_count, components):
-    for seed in range(4):
+    for seed in range(3):
         generator = np.random.default_rng(seed)
         live, target = random_bars(generator, live_count), random_bars(generator, target_count)
         if components:  # births of 0, as in dimension 0

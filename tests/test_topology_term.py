@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from paper_artifact.catalogue import CONDITIONS, get_condition
+from paper_artifact.catalogue import get_condition
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle, build_bundle
@@ -119,20 +119,10 @@ def test_refreshes_every_ten_steps_and_after_resampling_and_logs(bundle):
     assert weight["step"] == 22 and term.lambda_peak == weight["lambda_peak"]
     assert weight["lambda_peak"] == pytest.approx(0.1 * 2.0 / weight["topo_norm"])
     report = term.log[0]["dimensions"]["2"]
-    assert set(report) == {
-        "significant",
-        "matched",
-        "diagonal",
-        "recruited",
-        "unreached",
-        "gabriel_failures",
-        "targets",
-    }
-    assert (
-        report["targets"][0]["target"] == bundle.bars[2][0].tolist()
-        and report["targets"][0]["kind"] == "matched"
-    )
-    assert report["matched"] == 1 and report["gabriel_failures"] == 0
+    counts = ["significant", "matched", "diagonal", "recruited", "unreached", "gabriel_failures"]
+    assert [report[name] for name in counts] == [1, 1, 0, 0, 0, 0]
+    (first,) = report["targets"]
+    assert first["target"] == bundle.bars[2][0].tolist() and first["kind"] == "matched"
     json.dumps(term.log, allow_nan=False)
     refreshes = [entry for entry in term.log if entry["event"] == "refresh"]
     errors = [
@@ -149,11 +139,6 @@ def test_weighted_gradient_norm_is_rho_times_photo_at_full_ramp(bundle):
         term.refresh(step, soup, None)
         term.value(step, soup, 3.0).backward()
         assert torch.linalg.vector_norm(soup.grad).item() == pytest.approx(0.3, rel=1e-5)
-
-
-def test_runs_repeat_exactly(bundle):
-    for condition in ("C7h", "C2g"):
-        assert run(condition, bundle, upto=40)[0].log == run(condition, bundle, upto=40)[0].log
 
 
 def test_zero_gradient_calibration_is_a_stated_no_op_and_tries_again(bundle):
@@ -202,19 +187,6 @@ def test_state_resumes_exactly_where_a_refresh_is_due(bundle):
     resumed.load_state(state)
     again, _ = finish(resumed, soup.requires_grad_(True), 41)
     assert torch.equal(straight, again) and [e["step"] for e in resumed.log][-2:] == [41, 51]
-
-
-def test_conditions_are_the_papers():
-    losses = {each.name: each.loss for each in CONDITIONS}
-    priors = [each.name for each in CONDITIONS if each.allocation is not None]
-    assert priors == ["C5", "B1", "B2", "B3", "B4", "B5"] and losses["C5"] == losses["C1"]
-    losses = {name: each for name, each in losses.items() if name not in priors}
-    assert list(losses) == ["C0", "C1", "C2", "C2g", "C3", "C4", "C6", "C7", "C7h", "T1", "T2"]
-    assert losses.pop("C0") is None and all(each.rho == 0.1 for each in losses.values())
-    assert losses["C2g"].repulsion_radius == losses["C2"].repulsion_radius / 2
-    assert losses["C3"].ramp is None and losses["C1"].ramp == (0.2, 0.5)
-    assert [name for name, each in losses.items() if not each.recruitment] == ["C6"]
-    assert (losses["C7"].noise, losses["C7h"].noise) == (0.005, 0.01)
 
 
 def test_curvature_weighted_condition_weights_the_terms(bundle):

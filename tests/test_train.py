@@ -25,7 +25,6 @@ from paper_artifact.files import REPOSITORY
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import set_thread_count, thread_count
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import render_views
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
 from paper_artifact.train.loop import batch_views, train
@@ -133,16 +132,7 @@ def test_evaluation_and_progress_change_no_bit_and_another_seed_does(trained, ti
     assert not torch.equal(other.soup.mlp[0], reference.soup.mlp[0])
 
 
-def test_a_given_resampler_is_used(tiny_scene):
-    result = train(
-        tiny_scene, tiny_config(steps=12), device="cpu", resampler=Resampler(50, interval=5, split_until=0.0)
-    )
-    assert [(entry["step"], entry["after"]) for entry in result.resamplings] == [(5, 50), (10, 50)] and len(
-        result.soup
-    ) == 50
-
-
-@pytest.mark.parametrize("count, batch", [(7, 4), (42, 4), (5, 5), (3, 8)])
+@pytest.mark.parametrize("count, batch", [(7, 4), (5, 5), (3, 8)])
 def test_batches_are_permutations_redrawn_each_epoch(count, batch):
     train_views = np.arange(count) * 3
     per_epoch = -(-count // batch)
@@ -330,11 +320,6 @@ def test_the_last_checkpoint_before_a_value_that_is_not_finite_resumes(
     assert all(torch.equal(a, b) for a, b in zip(parts(resumed.soup), parts(trained.soup), strict=True))
 
 
-def test_a_run_without_a_term_computes_nothing_for_one(tiny_scene, monkeypatch):
-    monkeypatch.setattr("paper_artifact.train.loop.add_term", None)  # calling it would fail
-    assert len(train(tiny_scene, tiny_config(steps=2), device="cpu").losses) == 2
-
-
 def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys, monkeypatch):
     shutil.copytree(tiny_results, tmp_path / "results")
     diverging(monkeypatch, "mlp", 1)
@@ -346,18 +331,14 @@ def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_pa
     )
 
 
-def test_a_scene_without_training_views_is_refused(tiny_scene):
+def test_a_scene_without_training_views_and_devices_that_are_not_there_are_refused(tiny_scene, monkeypatch):
     with pytest.raises(InputError, match="no training views"):
         train(replace(tiny_scene, train=np.array([], np.int64)), tiny_config(), device="cpu")
-
-
-def test_devices(tiny_scene, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert isinstance(backend_for("auto", tiny_scene, tiny_scene.train), CpuBackend)
-    with pytest.raises(InputError, match="no CUDA device here"):
-        backend_for("cuda", tiny_scene, tiny_scene.train)
-    with pytest.raises(InputError, match="unknown device 'tpu'"):
-        train(tiny_scene, tiny_config(), device="tpu")
+    for device, words in (("cuda", "no CUDA device here"), ("tpu", "unknown device 'tpu'")):
+        with pytest.raises(InputError, match=words):
+            train(tiny_scene, tiny_config(), device=device)
 
 
 # --- the twin

@@ -61,20 +61,12 @@ def test_published_per_seed_values_give_the_papers_verdicts(per_seed):
     assert again == {shape: values[0] for shape, values in PER_SEED.items() if shape != "double_torus"}
 
 
-def test_means_and_the_papers_groups_are_reproduced(per_seed):
+def test_means_are_the_papers(per_seed):
     table = arms(per_seed)
     bob = table.loc[("bob", "C1")]
-    assert mean_text(bob["mean"], bob["sd"]) == ".0208±.0008" and bob["ratio"] == pytest.approx(
-        2.05, abs=0.01
-    )
+    assert mean_text(bob["mean"], bob["sd"]) == ".0208±.0008"
+    assert bob["ratio"] == pytest.approx(2.05, abs=0.01)
     assert (bob["seeds"], bob["low"], bob["high"]) == (3, 0.0200, 0.0216)
-    ratios = table["ratio"].xs("C1", level="condition")
-    loops, voids = (
-        ratios[["bob", "rocker-arm", "eight"]],
-        ratios[["spot", "fandisk", "pot", "armadillo", "horse"]],
-    )
-    assert (loops.mean(), loops.std()) == (pytest.approx(1.52, abs=0.01), pytest.approx(0.55, abs=0.01))
-    assert (voids.mean(), voids.std()) == (pytest.approx(4.87, abs=0.02), pytest.approx(3.17, abs=0.03))
     assert table["ratio"].xs("C0", level="condition").isna().all()
 
 

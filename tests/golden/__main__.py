@@ -4,8 +4,6 @@ Scaffolding for the time in which the notebooks, the command line and the rooms 
 it is deleted afterwards. Layout and wording may change. What is compared: numbers of the notebooks, claims,
 committed records, options of the verbs, the bits of short runs. `intended.csv` lists the differences that are
 meant, with the reason; they are counted apart. Exit code 1 when anything else differs.
-
-`python -m tests.golden write NAME` takes the present tree's state as the reference (run once, at 76446f5).
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout
-from html.parser import HTMLParser
+from html import unescape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -33,60 +31,18 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 NUMBER = re.compile(r"(?<![\w.])[-−+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+−]?\d+)?")
 Number = tuple[float, int, bool]  # value, decimals printed, a percentage
-Cell = tuple[str, str, str]  # row, column, text
 
 
-class Tables(HTMLParser):
-    """The cells of every table of an HTML text, with the words of their row and column."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.cells: list[Cell] = []
-        self.row: list[tuple[bool, str]] = []
-        self.heads: list[list[str]] = []
-        self.open: bool | None = None
-        self.feed(html)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag == "table":
-            self.heads = []
-        elif tag == "tr":
-            self.row = []
-        elif tag in ("td", "th"):
-            self.open = tag == "th"
-            self.row.append((self.open, ""))
-            span = int(dict(attrs).get("colspan") or 1)
-            self.row += [(self.open, "")] * (span - 1)
-
-    def handle_data(self, data: str) -> None:
-        if self.open is not None and self.row:
-            head, text = self.row[-1]
-            self.row[-1] = (head, text + data)
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in ("td", "th"):
-            self.open = None
-        elif tag == "tr":
-            texts = [" ".join(text.split()) for _, text in self.row]
-            if all(head for head, _ in self.row):
-                self.heads.append(texts)
-                return
-            name = " ".join(text for (head, _), text in zip(self.row, texts, strict=True) if head and text)
-            for column, ((head, _), text) in enumerate(zip(self.row, texts, strict=True)):
-                above = " ".join(line[column] for line in self.heads if column < len(line) and line[column])
-                self.cells.append(("", above, text) if head else (name, above, text))
-
-
-def cells_of(notebook: Path) -> Iterator[Cell]:
-    """Yield what a notebook's outputs show: cells of tables; printed lines, their words as the row."""
+def texts_of(notebook: Path) -> Iterator[str]:
+    """Yield what a notebook's outputs show: cells and heads of tables, printed lines."""
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
         for output in cell.get("outputs", ()):
             data = output.get("data", {})
             if "text/html" in data:
-                yield from Tables("".join(data["text/html"])).cells
-                continue
-            for line in "".join(output.get("text", data.get("text/plain", ""))).splitlines():
-                yield " ".join(NUMBER.sub("#", line).split())[:60], "", line
+                for text in re.findall(r"<t[hd].*?>(.*?)</t[hd]>", "".join(data["text/html"]), re.DOTALL):
+                    yield unescape(re.sub("<[^>]*>", "", text))
+            else:
+                yield from "".join(output.get("text", data.get("text/plain", ""))).splitlines()
 
 
 def numbers(text: str) -> list[tuple[str, Number]]:
@@ -130,16 +86,6 @@ def claims() -> list[dict[str, str]]:
     return found
 
 
-def golden_cells() -> list[list[str]]:
-    """Return [notebook, row, column, text] of every cell of the tree that holds a number."""
-    return [
-        [path.stem, *cell]
-        for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
-        for cell in cells_of(path)
-        if NUMBER.search(cell[2])
-    ]
-
-
 def check_cells() -> Iterator[tuple[str, str]]:
     """Yield (key, sentence) of each cell with a number that its notebook and its claims no longer show."""
     with gzip.open(HERE / "cells.csv.gz", "rt", encoding="utf-8", newline="") as file:
@@ -148,8 +94,7 @@ def check_cells() -> Iterator[tuple[str, str]]:
     said = claims()
     shown = {
         stem: shown_by(
-            [text for _, column, text in cells_of(path)]
-            + [column for _, column, _ in cells_of(path)]
+            [*texts_of(path)]
             + [row[name] for row in said if row["file"] == stem for name in ("what", "ours", "paper")]
         )
         for stem, path in stems.items()
@@ -219,15 +164,6 @@ def help_text(*words: str) -> str:
         command, capture_output=True, text=True, cwd=ROOT, env=os.environ | {"COLUMNS": "300"}
     )
     return found.stdout
-
-
-def golden_help() -> dict[str, list[str]]:
-    """Return the options of each verb as its help lists them."""
-    verbs = re.findall(r"^    ([a-z][a-z-]+)(?: |$)", help_text(), re.MULTILINE)
-    return {
-        verb: sorted(set(re.findall(r"^  (?:-\w, )?(--[a-z][\w-]*)", help_text(verb), re.MULTILINE)))
-        for verb in verbs
-    }
 
 
 def check_help() -> Iterator[tuple[str, str]]:
@@ -403,20 +339,6 @@ def check_runs(only: str = "") -> Iterator[tuple[str, str]]:
             yield name, f"{name}: {', '.join(differs)}"
 
 
-def write(name: str, only: str) -> None:
-    """Take the present tree as the reference of one check."""
-    if name == "cells":
-        with gzip.GzipFile(HERE / "cells.csv.gz", "wb", mtime=0) as packed:
-            text = io.TextIOWrapper(packed, encoding="utf-8", newline="")
-            csv.writer(text).writerows(golden_cells())
-            text.flush()
-    elif name == "help":
-        (HERE / "help.json").write_text(json.dumps(golden_help(), indent=1) + "\n", encoding="utf-8")
-    elif name == "runs":
-        kept = {"machine": machine(), "runs": retrain(only)}
-        (HERE / "digests.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     checks = {
@@ -426,13 +348,9 @@ def main() -> int:
         "help": check_help,
         "runs": check_runs,
     }
-    parser.add_argument("what", nargs="?", default="all", choices=[*checks, "all", "write"])
-    parser.add_argument("name", nargs="?", default="")
+    parser.add_argument("what", nargs="?", default="all", choices=[*checks, "all"])
     parser.add_argument("--only", default="", help="cells, pairs: keys with this; runs: names that match")
     given = parser.parse_args()
-    if given.what == "write":
-        write(given.name, given.only)
-        return 0
     intended = list(csv.DictReader((HERE / "intended.csv").open(encoding="utf-8", newline="")))
     bad = 0
     for what, check in checks.items():
