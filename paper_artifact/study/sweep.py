@@ -1,9 +1,18 @@
 """Running a table of runs: what is recorded is not run again, what was killed resumes, one failing run stops
-no other; and how long it will still take."""
+no other; and how long it will still take.
+
+Each run is a process by itself, `python -m paper_artifact.study.sweep CONFIG_JSON RESULTS DEVICE`: a crash, a
+kill or a leak of one cannot touch another; one thread each, since two such processes beat one with two
+threads. A pool of threads waits for them, or the workers of a Dask cluster do.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,13 +22,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from statistics import mean
+from typing import Any
 
-from paper_artifact.config import RunConfig, config_values
+from paper_artifact.config import RunConfig, config_from, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.record.store import read_record, recorded_path, write_record
 from paper_artifact.scene.given import called, is_own, resolve
 from paper_artifact.scene.shapes import find_mesh
-from paper_artifact.study.worker import failure_of, start_run
+
+SIGN = "step "  # begins a line on a run's stderr that says how far it is; all others are its complaints
+EVERY = 5.0  # seconds between two such lines
 
 
 @dataclass(frozen=True)
@@ -27,13 +39,13 @@ class Outcome:
     """One run's end."""
 
     config: RunConfig
-    seconds: float  # of wall time
+    seconds: float  # of wall time, 0 where it failed
     failure: str | None  # why it failed, None when it is recorded
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a run in progress tells."""
+    """How far a run in progress is."""
 
     config: RunConfig
     step: int  # taken by now
@@ -41,54 +53,41 @@ class Step:
 
 
 class Estimate:
-    """Remaining wall time. A run in progress is followed by its steps; one that waits is expected to take as
-    long as those of its condition, else as all others: those that ended, else those in progress."""
+    """Remaining wall time: the steps that are left, each as long as those of its condition, else of all."""
 
     def __init__(self, todo: list[RunConfig], workers: int) -> None:
-        self._left, self._workers = list(todo), workers
-        self._ended: dict[str, list[float]] = {}  # by condition, seconds of the runs that this sweep recorded
+        self._taken, self._workers = dict.fromkeys(todo, 0), workers  # steps
         self._first: dict[RunConfig, Step] = {}  # of the runs in progress
-        self._latest: dict[RunConfig, Step] = {}
+        self._paces: dict[str, dict[RunConfig, float]] = {}  # by condition, seconds a step of each run
 
     def stepped(self, step: Step) -> None:
-        """Take note of a step."""
-        self._first.setdefault(step.config, step)
-        self._latest[step.config] = step
+        """Take note of a step; from the second on they have a pace, which leaves out the start."""
+        first = self._first.setdefault(step.config, step)
+        self._taken[step.config] = step.step
+        if step.step > first.step:
+            pace = (step.seconds - first.seconds) / (step.step - first.step)
+            self._paces.setdefault(step.config.condition, {})[step.config] = pace
 
     def ended(self, outcome: Outcome) -> None:
-        """Take note of an ended run; how long a failing one took tells nothing about the others."""
-        self._left.remove(outcome.config)
-        self._first.pop(outcome.config, None)
-        self._latest.pop(outcome.config, None)
+        """Take note of an ended run; a failing one says nothing about the others."""
+        config = outcome.config
+        del self._taken[config]
+        self._first.pop(config, None)
+        own = self._paces.setdefault(config.condition, {})
+        own.pop(config, None)
         if outcome.failure is None:
-            self._ended.setdefault(outcome.config.condition, []).append(outcome.seconds)
-
-    def _pace(self, config: RunConfig) -> float | None:
-        """Return the seconds per step of a run in progress, its start left out; None before its second
-        sign."""
-        first, latest = self._first.get(config), self._latest.get(config)
-        if first is None or latest is None or latest.step <= first.step:
-            return None
-        return (latest.seconds - first.seconds) / (latest.step - first.step)
+            own[config] = outcome.seconds / config.steps
 
     def seconds(self) -> float | None:
         """Return the seconds left, None while nothing is known."""
-        paces = {config: pace for config in self._left if (pace := self._pace(config)) is not None}
-        known = {condition: list(values) for condition, values in self._ended.items()}
-        for config, pace in paces.items():
-            if config.condition not in self._ended:
-                whole = self._first[config].seconds + pace * config.steps
-                known.setdefault(config.condition, []).append(whole)
-        if self._left and not known:
+        known = [pace for own in self._paces.values() for pace in own.values()]
+        if self._taken and not known:
             return None
-        common = mean(value for values in known.values() for value in values) if known else 0.0
-        total = 0.0
-        for config in self._left:
-            if config in paces:
-                total += paces[config] * (config.steps - self._latest[config].step)
-            else:
-                total += mean(known.get(config.condition, [common]))
-        return total / max(1, min(self._workers, len(self._left)))
+        left = 0.0
+        for config, taken in self._taken.items():
+            own = self._paces.get(config.condition, {})
+            left += (config.steps - taken) * own.get(config, mean(own.values() or known))
+        return left / max(1, min(self._workers, len(self._taken)))
 
     def text(self) -> str:
         """Return "about N min left", or that it is not known yet."""
@@ -98,8 +97,7 @@ class Estimate:
     def running(self) -> str:
         """Return the runs in progress, each with the percentage of its steps."""
         return ", ".join(
-            f"{run_name(config)} {100 * latest.step // config.steps} %"
-            for config, latest in self._latest.items()
+            f"{run_name(config)} {100 * self._taken[config] // config.steps} %" for config in self._first
         )
 
 
@@ -124,48 +122,109 @@ def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
     return todo
 
 
-def run_processes(
-    todo: list[RunConfig], results: Path, workers: int, device: str
+def start_run(values: dict, results: Path | str, device: str) -> subprocess.Popen:
+    """Start the run of a configuration (a dict) that writes under `results`.
+
+    The process ends when this one does, even by SIGKILL: it watches its stdin, a pipe that only this process
+    holds open.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-m", "paper_artifact.study.sweep", json.dumps(values), str(results), device],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+
+
+def failure_of(child: subprocess.Popen, stepped: Callable[[int], object]) -> str | None:
+    """Wait for a process of `start_run` and return why it failed in one line, None when its record is
+    written. stepped(step) is called now and then while it trains."""
+    reason = ""
+    with child:
+        for line in map(str.strip, child.stderr or ()):  # not communicate(): it would close stdin
+            if line.startswith(SIGN) and line[len(SIGN) :].isdecimal():
+                stepped(int(line[len(SIGN) :]))
+            else:
+                reason = line or reason
+        child.wait()
+    if child.returncode < 0:
+        return f"the process was ended by signal {-child.returncode}"
+    return (reason or f"the process ended with exit code {child.returncode}") if child.returncode else None
+
+
+def remote_run(values: dict, device: str) -> tuple[float, dict]:
+    """Run the configuration (a dict) on this worker of a cluster; return the seconds of wall time and the
+    record. The run's process ends with the worker. Raises RuntimeError with the run's own last line."""
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        failure = failure_of(start_run(values, folder, device), lambda step: None)
+        if failure:
+            raise RuntimeError(failure)
+        (path,) = (Path(folder) / "runs").glob("*.json")
+        return time.perf_counter() - begin, read_record(path)
+
+
+def run_all(
+    todo: list[RunConfig], results: Path, device: str, workers: int, client: Any = None
 ) -> Iterator[Outcome | Step]:
-    """Yield outcomes as runs end, and steps meanwhile; each run is a process of its own
-    (`paper_artifact.study.worker`), at most `workers` at once."""
+    """Yield outcomes as runs end; of local processes, at most `workers` at once, also steps meanwhile.
+
+    client: of a Dask cluster, which runs them; records come back to this machine, soups do not. Runs of a
+    worker that dies are given to another one; a run that fails is not tried again.
+    """
+    events: SimpleQueue[Step | Future] = SimpleQueue()
     children: set[subprocess.Popen] = set()
-    events: SimpleQueue[Step | Future[Outcome]] = SimpleQueue()
     stopping, lock = threading.Event(), threading.Lock()
 
-    def one(config: RunConfig) -> Outcome:
+    def local_run(config: RunConfig) -> tuple[float, None]:
         begin = time.perf_counter()
-        try:
-            with lock:  # no child may start unseen while the others are being stopped
-                if stopping.is_set():
-                    return Outcome(config, 0.0, "not started: the sweep was stopped")
-                child = start_run(config_values(config), results, device)
-                children.add(child)
-            failure = failure_of(
-                child, lambda step: events.put(Step(config, step, time.perf_counter() - begin))
-            )
-            children.discard(child)
-        except OSError as error:
-            failure = f"the process could not be started: {error.strerror}"
-        return Outcome(config, time.perf_counter() - begin, failure)
+        with lock:  # no child may start unseen while the others are being stopped
+            if stopping.is_set():
+                raise RuntimeError("not started: the sweep was stopped")
+            child = start_run(config_values(config), results, device)
+            children.add(child)
+        failure = failure_of(child, lambda step: events.put(Step(config, step, time.perf_counter() - begin)))
+        children.discard(child)
+        if failure:
+            raise RuntimeError(failure)
+        return time.perf_counter() - begin, None
 
-    with ThreadPoolExecutor(workers) as pool:
-        for config in todo:
-            pool.submit(one, config).add_done_callback(events.put)
-        try:
-            left = len(todo)
-            while left:
-                event = events.get()
-                left -= isinstance(event, Future)
-                yield event.result() if isinstance(event, Future) else event
-        finally:  # also on Ctrl-C: checkpoints let the killed runs resume
-            with lock:
-                stopping.set()
-                for child in list(children):
-                    child.terminate()
+    pool = ThreadPoolExecutor(workers) if client is None else client.get_executor()
+    try:
+        futures = {
+            pool.submit(local_run, config)
+            if client is None
+            else pool.submit(remote_run, config_values(config), device): config
+            for config in todo
+        }
+        for future in futures:
+            future.add_done_callback(events.put)
+        left = len(futures)
+        while left:
+            event = events.get()
+            if isinstance(event, Step):
+                yield event
+                continue
+            left, seconds, failure = left - 1, 0.0, None
+            try:
+                seconds, record = event.result()
+                if record is not None:
+                    write_record(record, results / "runs")
+            except Exception as error:  # whatever happened there is this run's failure, not the sweep's
+                failure = (str(error).strip() or type(error).__name__).splitlines()[0]
+            yield Outcome(futures[event], seconds, failure)
+    finally:  # also on Ctrl-C: checkpoints let the killed runs resume
+        with lock:
+            stopping.set()
+            for child in list(children):
+                child.terminate()
+        pool.shutdown(wait=client is None)
 
 
-def connect(scheduler: str):
+def connect(scheduler: str) -> Any:
     """Return a Dask client of the scheduler at this address. InputError when dask is not installed or nobody
     answers."""
     try:
@@ -180,29 +239,6 @@ def connect(scheduler: str):
         ) from error
 
 
-def run_dask(todo: list[RunConfig], results: Path, client, device: str) -> Iterator[Outcome]:
-    """Yield outcomes of the same runs on a Dask cluster (`connect`); records come back to this machine, soups
-    do not.
-
-    Runs of a worker that dies are given to another one; a run that fails is not tried again.
-    """
-    from dask.distributed import as_completed as dask_as_completed
-
-    from paper_artifact.study.worker import remote_run
-
-    futures = {
-        client.submit(remote_run, config_values(config), device, pure=False): config for config in todo
-    }
-    for future in dask_as_completed(list(futures)):
-        seconds, failure = 0.0, None
-        try:
-            record, seconds = future.result()
-            write_record(record, results / "runs")
-        except Exception as error:  # whatever happened over there is this run's failure, not the sweep's
-            failure = (str(error).strip() or type(error).__name__).splitlines()[0]
-        yield Outcome(futures[future], seconds, failure)
-
-
 def sweep(
     configs: list[RunConfig],
     results: Path,
@@ -210,7 +246,7 @@ def sweep(
     workers: int = 1,
     device: str = "cpu",
     scheduler: str | None = None,
-    report: Callable[[str, int, int], None] | None = None,
+    report: Callable[[str, int, int], None] = lambda text, ended, total: None,
 ) -> list[Outcome]:
     """Run what is not recorded yet and return the outcomes; report(text, ended, total) is called when a run
     ends and, for local processes, every few seconds of each run's training.
@@ -218,23 +254,16 @@ def sweep(
     scheduler: address of a Dask scheduler, None for local processes. Raises InputError for bad input before
     any run starts.
     """
-    if workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}")
     for shape in dict.fromkeys(config.shape for config in configs if not is_own(config)):
-        find_mesh(shape)  # a mesh that cannot be had is told before any run starts
+        find_mesh(shape)  # a mesh that is not available is named before any run starts
     todo = missing(configs, results)
     outcomes: list[Outcome] = []
     with connect(scheduler) if scheduler and todo else nullcontext() as client:
         if client is not None:
             workers = max(1, sum(client.nthreads().values()))
         estimate = Estimate(todo, workers)
-        if report:
-            report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
-        with closing(
-            run_processes(todo, results, workers, device)
-            if client is None
-            else run_dask(todo, results, client, device)
-        ) as running:
+        report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
+        with closing(run_all(todo, results, device, workers, client)) as running:
             for event in running:
                 if isinstance(event, Step):
                     estimate.stepped(event)
@@ -243,6 +272,42 @@ def sweep(
                     outcomes.append(event)
                     estimate.ended(event)
                     text = f"{run_name(event.config)} {'FAILED' if event.failure else 'done'}"
-                if report:
-                    report(f"{text}; {estimate.text()}", len(outcomes), len(todo))
+                report(f"{text}; {estimate.text()}", len(outcomes), len(todo))
     return outcomes
+
+
+def main() -> int:
+    """Run the configuration on the command line in this process, one CPU thread; lines on stderr say how far
+    it is, and the last one what went wrong, if anything."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    import torch
+
+    from paper_artifact.pipeline import run
+    from paper_artifact.train.state import TrainingError
+
+    torch.set_num_threads(1)
+    due = 0.0
+
+    def tell(step: int, text: str) -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + EVERY
+            print(f"{SIGN}{step}", file=sys.stderr, flush=True)
+
+    config, results, device = config_from(json.loads(sys.argv[1])), Path(sys.argv[2]), sys.argv[3]
+    try:
+        run(config, results=results, device=device, progress=tell)
+    except (InputError, TrainingError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 1024):  # not sys.stdin: a thread that holds its lock would trouble the interpreter's end
+        pass
+    os._exit(1)  # files are written atomically, so any moment will do
+
+
+if __name__ == "__main__":
+    sys.exit(main())
