@@ -23,6 +23,7 @@ import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from numba import config
 from numba import njit as njit
@@ -72,7 +73,7 @@ class PackageLocator:
         self._place, self._path = place, path
 
     @classmethod
-    def from_function(cls, function, file: str) -> PackageLocator | None:
+    def from_function(cls, function: Any, file: str) -> PackageLocator | None:
         """Return the locator of a function in a file, None for a file that is not of this package."""
         path = Path(file)
         if PACKAGE not in path.parents or not path.is_file():
@@ -87,11 +88,11 @@ class PackageLocator:
         """Return what must be equal for a kept kernel to be taken."""
         return source_stamp(self._path)
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._place, name)  # folder, its making, the line number that tells kernels apart
 
 
-def _first_place(function, file: str) -> caching._CacheLocator | None:
+def _first_place(function: Any, file: str) -> caching._CacheLocator | None:
     places = (locator.from_function(function, file) for locator in _NUMBAS_OWN)
     return next((place for place in places if place is not None), None)
 
@@ -118,7 +119,7 @@ def _tell(why: str) -> None:
             )
 
 
-def _save_or_go_on(cache: caching.Cache, signature, kernel) -> None:
+def _save_or_go_on(cache: caching.Cache, signature: Any, kernel: Any) -> None:
     """Keep a compiled kernel as numba does; where that fails, one of this package is used unkept."""
     try:
         _numbas_save(cache, signature, kernel)
@@ -128,13 +129,11 @@ def _save_or_go_on(cache: caching.Cache, signature, kernel) -> None:
         _tell(error.strerror or str(error))
 
 
-def _load_or_compile(cache: caching.Cache, signature, context):
+def _load_or_compile(cache: caching.Cache, signature: Any, context: Any) -> Any:
     """Return a kept kernel as numba does; None, and what was kept is forgotten, where its file is damaged."""
     try:
         return _numbas_load(cache, signature, context)
-    except (
-        Exception
-    ):  # pickle raises many kinds; numba writes without fsync, so a power cut leaves such files
+    except Exception:  # pickle raises many kinds; numba does not fsync, so a power cut leaves such files
         if not isinstance(cache._impl.locator, PackageLocator):
             raise
         with suppress(OSError):

@@ -61,20 +61,10 @@ STYLE: dict[Any, Any] = {
 }
 INK, AIM = "#222222", "#d55e00"  # live bars and lines of reference; what they are held against
 FAINT = "#8a8a8a"  # bars below the floor
-SERIES = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#d55e00",
-)  # for anything but conditions (Okabe, Ito)
+# for anything but conditions (Okabe, Ito)
+SERIES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 MARKS = ("o", "s", "^", "D", "v", "P")  # beside SERIES
-DIMENSIONS = {
-    0: ("#009e73", "^"),
-    1: ("#0072b2", "o"),
-    2: ("#d55e00", "s"),
-}  # colour and marker of H0, H1, H2
+DIMENSIONS = {0: ("#009e73", "^"), 1: ("#0072b2", "o"), 2: ("#d55e00", "s")}  # of H0, H1, H2
 WINDOW = "#f3ead2"  # of a marked stretch of an axis
 BIRTH, DEATH = "birth (radius / D)", "death (radius / D)"
 
@@ -131,10 +121,9 @@ def draw_band(axis: Axes, table: pd.DataFrame, x: str, y: str, label: str, **key
     axis.fill_between(mean.index, group.min(), group.max(), color=line.get_color(), alpha=0.13, linewidth=0)
 
 
-def mark_paper(axis: Axes, value: float, upright: bool = False) -> Line2D:
-    """Draw a dotted line at a value of the paper, labelled "paper" in the legend (upright: on the horizontal
-    axis)."""
-    line = mark_value(axis, value, upright)
+def mark_paper(axis: Axes, value: float) -> Line2D:
+    """Draw a dotted line at a value of the paper, labelled "paper" in the legend."""
+    line = mark_value(axis, value)
     line.set(color=AIM, linestyle=":", label="paper")
     return line
 
@@ -159,7 +148,7 @@ def label_outer(axes: np.ndarray, x: str = "", y: str = "") -> None:
             shown[-1].set_xlabel(x)
 
 
-def legend_below(figure: Figure, columns: int = 4, extra: Iterable[Artist] = (), title: str = "") -> None:
+def legend_below(figure: Figure, columns: int = 4, extra: Iterable[Artist] = ()) -> None:
     """Write one legend for all axes of the figure below them, each label once, then the `extra` handles."""
     found: dict[str, Artist] = {}
     for axis in figure.axes:
@@ -168,13 +157,8 @@ def legend_below(figure: Figure, columns: int = 4, extra: Iterable[Artist] = (),
     for handle in extra:
         found.setdefault(str(handle.get_label()), handle)
     if found:
-        figure.legend(
-            list(found.values()),
-            list(found),
-            title=title or None,
-            loc="outside lower center",
-            ncols=min(columns, len(found)),
-        )
+        ncols = min(columns, len(found))
+        figure.legend(list(found.values()), list(found), loc="outside lower center", ncols=ncols)
 
 
 def mark_value(axis: Axes, value: float, upright: bool = False) -> Line2D:
@@ -240,15 +224,8 @@ def draw_cloud(
     depth = ({0, 1, 2} - set(axes)).pop()
     order = np.argsort(-points[:, depth])
     chosen = points[order]
-    axis.scatter(
-        chosen[:, axes[0]],
-        chosen[:, axes[1]],
-        c=-chosen[:, depth],
-        cmap="viridis",
-        s=2.0,
-        linewidths=0,
-        rasterized=True,
-    )
+    dots: dict[str, Any] = {"cmap": "viridis", "s": 2.0, "linewidths": 0, "rasterized": True}
+    axis.scatter(chosen[:, axes[0]], chosen[:, axes[1]], c=-chosen[:, depth], **dots)
     axis.set_aspect("equal")
     x, y = ("xyz"[each] for each in axes)
     label_axis(axis, title, f"{x} (world units)", f"{y} (world units)", grid=False)
@@ -279,16 +256,8 @@ def draw_diagram(
     axis.scatter(bars[~above, 0], bars[~above, 1], s=4, color=FAINT, linewidths=0, rasterized=True)
     axis.scatter(bars[above, 0], bars[above, 1], s=20, color=INK, linewidths=0, zorder=3)
     if target is not None and len(target):
-        axis.scatter(
-            target[:, 0],
-            target[:, 1],
-            marker="*",
-            s=110,
-            facecolor="none",
-            edgecolor=AIM,
-            linewidths=1.1,
-            zorder=4,
-        )
+        star: dict[str, Any] = {"marker": "*", "s": 110, "facecolor": "none", "edgecolor": AIM}
+        axis.scatter(target[:, 0], target[:, 1], zorder=4, linewidths=1.1, **star)
     axis.set(xlim=(-margin, limit), ylim=(-margin, limit), aspect="equal", xlabel=BIRTH, ylabel=DEATH)
     for side in (axis.xaxis, axis.yaxis):
         side.set_major_locator(MaxNLocator(3))
@@ -301,15 +270,6 @@ def diagram_handles(target: str = "target's significant bar") -> list[Artist]:
     return [
         Line2D([], [], marker="o", markersize=4.5, color=INK, label="significant bar", **dot),
         Line2D([], [], marker="o", markersize=2.5, color=FAINT, label="bar below the floor", **dot),
-        Line2D(
-            [],
-            [],
-            marker="*",
-            markersize=10,
-            color=AIM,
-            markerfacecolor="none",
-            linestyle="none",
-            label=target,
-        ),
+        Line2D([], [], marker="*", markersize=10, color=AIM, markerfacecolor="none", ls="none", label=target),
         Line2D([], [], color=INK, linewidth=0.8, linestyle=":", label="floor"),
     ]

@@ -20,13 +20,14 @@ PARITY = 1.15
 WELCH_SEEDS = 5  # Welch's statistic is given where both arms have at least as many seeds
 
 
-def arms(runs: pd.DataFrame, by: Sequence[str] = ("shape", "condition")) -> pd.DataFrame:
-    """Return one row per arm, indexed by `by`: seeds (how many), mean, sd, low and high of the tails, chamfer
-    (mean), and ratio (mean of the same shape's C0 / mean; NaN for C0 and where the shape has none).
+def arms(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per arm, indexed by shape and condition: seeds (how many), mean, sd, low and high of
+    the tails, chamfer (mean), and ratio (mean of the same shape's C0 / mean; NaN for C0 and where
+    the shape has none).
 
-    runs: `results.Results.runs` or rows of it; columns by, seed, tail, chamfer.
+    runs: `results.Results.runs` or rows of it; columns shape, condition, seed, tail, chamfer.
     """
-    grouped = runs.groupby(list(by), observed=True)
+    grouped = runs.groupby(["shape", "condition"], observed=True)
     tails = grouped["tail"]
     table = tails.agg(seeds="size", mean="mean", sd="std", low="min", high="max")
     table["chamfer"] = grouped["chamfer"].mean() if "chamfer" in runs else np.nan

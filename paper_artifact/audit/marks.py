@@ -130,7 +130,7 @@ def _tube(line: np.ndarray, radius: float) -> np.ndarray:
 
 def _coloured(vertices: np.ndarray, colour: tuple[float, ...]) -> Triangles:
     vertices = vertices.astype(np.float32)
-    colours = np.broadcast_to(np.float32(colour), vertices.shape).copy()
+    colours = np.broadcast_to(np.array(colour, np.float32), vertices.shape).copy()
     return Triangles(vertices, colours, np.ones(vertices.shape[:2], dtype=np.float32))
 
 

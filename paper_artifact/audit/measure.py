@@ -6,6 +6,8 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from paper_artifact.audit.marks import Mark, find_marks
 from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
 from paper_artifact.catalogue import shape_row
@@ -46,11 +48,12 @@ class Audit:
         the certificate fails, the making of a closed surface and its audit.
         """
         python, name = "python -m paper_artifact", shlex.quote(self.name)
-        begin, usual = (), LossConfig()
+        begin: tuple[str, ...] = ()
+        usual = LossConfig()
         if not self.certificate.passed:
             shell = shlex.quote(f"{self.mesh.name}_shell.ply")
             begin = (f"{python} ingest {name} --out {shell}", f"{python} audit {shell}")
-        if self.decision.samples is None:
+        if self.decision.dimension is None or self.bundle is None:
             return (*begin, f"{python} train {name}")
         budget = BUDGET_BY_CLASS[self.decision.dimension]
         train = f"{python} train {name}"
@@ -141,6 +144,6 @@ def audit_mesh(
     )
 
 
-def _margins(bars, floor: float) -> tuple[float, ...]:
+def _margins(bars: np.ndarray, floor: float) -> tuple[float, ...]:
     margins = lifetimes(longest_bars(bars, floor)) / floor
     return tuple(round(float(margin), 4) for margin in margins if margin > KEPT_ABOVE)

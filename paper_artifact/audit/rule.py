@@ -42,7 +42,8 @@ class Rung:
     @property
     def counts(self) -> tuple[int, int, int]:
         """The numbers of significant finite bars per dimension, without the one infinite bar of H0."""
-        return tuple(sum(margin > 1 for margin in each) for each in self.margins)
+        h0, h1, h2 = (sum(margin > 1 for margin in each) for each in self.margins)
+        return h0, h1, h2
 
     @property
     def signature(self) -> str:
@@ -148,7 +149,15 @@ def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Run
     return next(((rung, False) for rung in ladder if rung.counts[dimension]), None)
 
 
-def _decision(by_samples, rung, dimension, complete, expected, basis, reasons) -> Decision:
+def _decision(
+    by_samples: dict[int, Rung],
+    rung: Rung,
+    dimension: int,
+    complete: bool,
+    expected: tuple[int, int, int],
+    basis: str,
+    reasons: list[str],
+) -> Decision:
     others = tuple(d for d in range(3) if d != dimension and expected[d] and rung.counts[d] == expected[d])
     count, wanted, name = rung.counts[dimension], expected[dimension], NAMES[dimension]
     tightest = f"tightest {min(margin for margin in rung.margins[dimension] if margin > 1):.2f} of the floor"

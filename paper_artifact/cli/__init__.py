@@ -112,6 +112,7 @@ def _run(argv: list[str], asked: str | None) -> int:
 
         argcomplete.autocomplete(parser)  # returns at once unless a shell asks for proposals
     namespace = parser.parse_args(argv)
+    assert runner is not None  # else argparse refused the verb
     options = read_options(_options_of(runner), namespace)
     file = getattr(options, "json", None)
     if file is not None and str(file) != "-":

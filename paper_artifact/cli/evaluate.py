@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from paper_artifact.cli.options import Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
@@ -39,7 +39,7 @@ class Evaluate(ReadingOptions):
     target: Source | None = None
     supersample: Annotated[int, 1, 8] = 1
     samples: Annotated[int, 4] = scores.SAMPLES
-    dimension: Literal[0, 1, 2] | None = None
+    dimension: Annotated[int, (0, 1, 2)] | None = None
     seed: Annotated[int, 0] = 0
     json: Path | None = None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from paper_artifact.cli.options import Positional, Source
 from paper_artifact.cli.reading import ReadingOptions
@@ -33,7 +33,7 @@ class Export(ReadingOptions):
 
     soup: Positional[Source]
     out: Path = RESULTS / "exports"
-    formats: tuple[Literal[*FORMATS], ...] = FORMATS
+    formats: Annotated[tuple[str, ...], FORMATS] = FORMATS
     target: Source | None = None
     views: Annotated[int, 1] = 4
     size: Annotated[int, 16, 4096] = 400

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated
 
 from paper_artifact.cli.bars import bar
 from paper_artifact.cli.options import Options
@@ -37,7 +37,7 @@ class RunAll(Options):
     figures DIR: where the notebooks' figures go as SVG
     """
 
-    profile: Literal[*PROFILES] = PROFILES[0]
+    profile: Annotated[str, PROFILES] = PROFILES[0]
     only: list[str] = field(default_factory=list)
     refresh: bool = False
     notebooks: Path = NOTEBOOKS

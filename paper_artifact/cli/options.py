@@ -12,9 +12,9 @@
         size: Annotated[int, 16, 4096] = 400        # --size, from 16 to 4096
 
 A type decides what is read: bool is a switch, tuple[int, ...] takes several words, list[str] may be given
-several times, `X | None` may be left out, a Literal has choices. A capital word is how the help names the
-value; texts may name constants of the module in braces. Wrong usage, here or in a verb, is `WrongUsage`, exit
-code 2.
+several times, `X | None` may be left out, Annotated[str, NAMES] has choices. A capital word is how the help
+names the value; texts may name constants of the module in braces. Wrong usage, here or in a verb, is
+`WrongUsage`, exit code 2.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, NewType, TypeVar
+from typing import Annotated, Any, NewType, TypeVar
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
@@ -72,19 +72,19 @@ class _Type:
 
     def __init__(self, hint: Any) -> None:
         self.limits: tuple = ()  # least, and largest value
+        self.choices: Sequence | None = None
         self.positional = False
         while typing.get_origin(hint) in (Annotated, types.UnionType, typing.Union):
             if typing.get_origin(hint) is Annotated:
                 hint, *more = typing.get_args(hint)
                 self.positional |= POSITIONAL in more
-                numbers = [each for each in more if each != POSITIONAL]
+                self.choices = next((each for each in more if isinstance(each, (tuple, list))), None)
+                numbers = [each for each in more if isinstance(each, (int, float))]
                 self.limits = (*numbers, math.inf)[:2] if numbers else self.limits
             else:
                 hint = next(each for each in typing.get_args(hint) if each is not type(None))
         self.container = typing.get_origin(hint) if typing.get_origin(hint) in (list, tuple) else None
-        item = typing.get_args(hint)[0] if self.container else hint
-        self.choices = typing.get_args(item) if typing.get_origin(item) is Literal else None
-        self.item: Any = type(self.choices[0]) if self.choices else item
+        self.item: Any = typing.get_args(hint)[0] if self.container else hint
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
@@ -118,7 +118,8 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
 def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
     """Return the options of `kind` that argparse found. Raises WrongUsage for a number out of range and for
     a name that no file can have."""
-    values, hints, texts = {}, typing.get_type_hints(kind, include_extras=True), _texts(kind)
+    values: dict[str, Any] = {}
+    hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
     for each in fields(kind):
         value, about = getattr(namespace, each.name), _Type(hints[each.name])
         flag = each.name if about.positional else f"--{texts[each.name][0]}"

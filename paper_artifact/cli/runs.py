@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, get_condition, shape_row, study_config
 from paper_artifact.cli.bars import bar, step_bar
@@ -235,7 +235,7 @@ class Sweep(OwnSceneOptions):
     workers: Annotated[int, 1] = 1
     results: Path | None = None
     device: str = "cpu"
-    executor: Literal["process", "dask"] = "process"
+    executor: Annotated[str, ("process", "dask")] = "process"
     scheduler: str | None = None
     steps: int | None = None
     betti: str | None = None
@@ -252,6 +252,7 @@ class Sweep(OwnSceneOptions):
         if (self.study is None) == (given is None):
             raise WrongUsage("give either a study or --scene DIR; see --help")
         if given is None:
+            assert self.study is not None
             if self.steps is not None or self.betti is not None or self.changes:
                 raise WrongUsage(
                     "--steps, --betti and --set go with --scene; a study's rows have its settings"
@@ -262,7 +263,6 @@ class Sweep(OwnSceneOptions):
                 )
         if self.shape:
             raise WrongUsage("--shape restricts a study; with --scene leave it out")
-        changes = list(self.changes) + ([] if self.steps is None else [f"steps={self.steps}"])
         found: list[RunConfig] = []
         for name in self.condition or [BASELINE]:
             with usage_checked():
@@ -270,14 +270,10 @@ class Sweep(OwnSceneOptions):
             stated = self.betti if loss is not None and loss.kind == "betti" else None
             config = None
             for seed in self.seed or [0]:
-                one = Train(
-                    **{each.name: getattr(self, each.name) for each in fields(OwnSceneOptions)},
-                    condition=name,
-                    changes=[each for each in changes if not each.startswith("steps=")],
-                    **({} if self.steps is None else {"steps": self.steps}),
-                    seed=seed,
-                    betti=stated,
-                ).config
+                own = {each.name: getattr(self, each.name) for each in fields(OwnSceneOptions)}
+                steps = STEPS_OF_THE_STUDY if self.steps is None else self.steps
+                own |= {"changes": self.changes, "steps": steps, "betti": stated}
+                one = Train(condition=name, seed=seed, **own).config
                 # The target is audited once a condition, not once a seed.
                 config = audited(one, ()) if config is None else replace(config, seed=seed)
                 found.append(config)

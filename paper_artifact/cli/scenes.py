@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, usage_checked
 from paper_artifact.cli.output import next_command, to_string
@@ -170,10 +170,10 @@ class Scene(Options):
     out: Path
     views: int | None = None
     size: int | None = None
-    background: Literal[*sorted(BACKGROUNDS)] = SURFACE.background
+    background: Annotated[str, sorted(BACKGROUNDS)] = SURFACE.background
     supersample: int | None = None
     points: int | None = None
-    cloud: Literal[*CLOUDS] | None = None
+    cloud: Annotated[str, CLOUDS] | None = None
     seed: int = SURFACE.seed
 
 
@@ -199,7 +199,7 @@ def scene(options: Scene) -> int:
         what = f"{views} views of at most {config.size} pixels"
         points = f"{config.points} points ({config.cloud})"
     else:
-        mesh = make_shape(options.shape) if options.mesh is None else load_mesh(Path(options.mesh))
+        mesh = make_shape(options.shape or "") if options.mesh is None else load_mesh(Path(options.mesh))
         folder = build_scene(mesh, config, options.out, progress=not options.quiet)
         views = config.views
         what = (

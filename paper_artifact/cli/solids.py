@@ -192,7 +192,7 @@ def solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...])
 def _of_the_subject(soup: Soup, frame: Frame, options: Solidify) -> Soup:
     """Return the triangles whose middle belongs to what the scene's cameras look at, and say how many."""
     subject = subject_of_scene(
-        options.scene,
+        options.scene or "",
         RADIUS if options.radius is None else options.radius,
         GROUND if options.ground is None else options.ground,
     )

@@ -8,6 +8,7 @@ winding.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
@@ -17,11 +18,8 @@ from paper_artifact.scene.cameras import Camera, look_at, world_to_clip
 MATERIAL = (0.86, 0.84, 0.80)  # neutral, RGB in [0,1]
 CUT = (0.75, 0.36, 0.24)  # of what a cut lays bare
 AMBIENT = 0.34
-LIGHT = (
-    -0.45,
-    -0.65,
-    -1.0,
-)  # towards the light, camera frame (x right, y down, z forward): over the viewer's left shoulder
+# Towards the light, camera frame (x right, y down, z forward): over the viewer's left shoulder.
+LIGHT = (-0.45, -0.65, -1.0)
 FIELD_OF_VIEW = 30.0  # degrees
 MARGIN = 1.04  # of the image around the framed points
 SUPERSAMPLING = 2
@@ -85,7 +83,9 @@ def render_flat(
     return image.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3)).astype(np.float32)
 
 
-def _face_colours(corners: np.ndarray, camera: Camera, material, inside) -> np.ndarray:
+def _face_colours(
+    corners: np.ndarray, camera: Camera, material: ArrayLike, inside: ArrayLike | None
+) -> np.ndarray:
     """RGB (F,3) of triangles (F,3,3), world units, seen from the camera."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
@@ -94,11 +94,7 @@ def _face_colours(corners: np.ndarray, camera: Camera, material, inside) -> np.n
     lambert = np.clip((np.where(facing < 0, -1.0, 1.0)[:, None] * normals) @ light, 0, 1)
     own = np.broadcast_to(np.asarray(material, dtype=np.float64), normals.shape)
     colours = own * (AMBIENT + (1 - AMBIENT) * lambert)[:, None]
-    return (
-        colours
-        if inside is None
-        else np.where((facing < 0)[:, None], np.asarray(inside, dtype=np.float64), colours)
-    )
+    return colours if inside is None else np.where((facing < 0)[:, None], np.asarray(inside), colours)
 
 
 def upright(up: np.ndarray) -> np.ndarray:

@@ -35,12 +35,12 @@ class Triangles:
     def __len__(self) -> int:
         return len(self.vertices)
 
-    def visible(self, threshold: float = THRESHOLD) -> Triangles:
-        """Return the triangles whose mean opacity is at least `threshold`; InputError when none is left."""
-        kept = self.opacity.mean(axis=1) >= threshold
+    def visible(self) -> Triangles:
+        """Return the triangles whose mean opacity is at least THRESHOLD; InputError when none is left."""
+        kept = self.opacity.mean(axis=1) >= THRESHOLD
         if not kept.any():
             raise InputError(
-                f"no triangle has an opacity of at least {threshold}: the soup looks empty; train it further"
+                f"no triangle has an opacity of at least {THRESHOLD}: the soup looks empty; train it further"
             )
         return Triangles(self.vertices[kept], self.colours[kept], self.opacity[kept])
 
@@ -72,10 +72,10 @@ def soup_triangles(soup: Soup) -> Triangles:
     return Triangles(vertices.numpy(), colours.clamp(0, 1).numpy(), soup.corner_opacity())
 
 
-def mesh_triangles(mesh: Mesh, colour: tuple[float, float, float] = STONE) -> Triangles:
-    """Return a mesh's faces as opaque triangles of one colour (RGB in [0,1])."""
+def mesh_triangles(mesh: Mesh) -> Triangles:
+    """Return a mesh's faces as opaque triangles of the colour STONE."""
     vertices = np.asarray(mesh.vertices, dtype=np.float32)[mesh.faces]
-    colours = np.broadcast_to(np.float32(colour), vertices.shape).copy()
+    colours = np.broadcast_to(np.array(STONE, np.float32), vertices.shape).copy()
     return Triangles(vertices, colours, np.ones(vertices.shape[:2], dtype=np.float32))
 
 

@@ -13,14 +13,7 @@ import trimesh
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.export.models import (
-    THRESHOLD,
-    Triangles,
-    glb_bytes,
-    ply_bytes,
-    soup_triangles,
-    srgb_to_linear,
-)
+from paper_artifact.export.models import Triangles, glb_bytes, ply_bytes, soup_triangles, srgb_to_linear
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.ingest.crossings import retract
 from paper_artifact.ingest.solidify import (
@@ -91,10 +84,10 @@ class SoupSolid:
         }
 
 
-def opaque_mesh(triangles: Triangles, name: str = "soup", threshold: float = THRESHOLD) -> Mesh:
-    """Return the triangles of at least this mean opacity as an unwelded Mesh, corners in their order; raises
-    InputError as `Triangles.visible` and `checked_mesh` do."""
-    corners = triangles.visible(threshold).vertices.astype(np.float64).reshape(-1, 3)
+def opaque_mesh(triangles: Triangles, name: str = "soup") -> Mesh:
+    """Return the visible triangles as an unwelded Mesh, corners in their order; raises InputError as
+    `Triangles.visible` and `checked_mesh` do."""
+    corners = triangles.visible().vertices.astype(np.float64).reshape(-1, 3)
     return checked_mesh(corners, np.arange(len(corners)).reshape(-1, 3), name, welded=False)
 
 
@@ -138,7 +131,17 @@ def solidify_mesh(
     return _solid_of(raw, colours, betti, offsets, cells, mesh.name, progress, None, frame)
 
 
-def _solid_of(raw, colours, betti, offsets, cells, name, progress, enough, frame) -> SoupSolid:
+def _solid_of(
+    raw: Mesh,
+    colours: np.ndarray,
+    betti: Sequence[int] | None,
+    offsets: Iterable[float],
+    cells: float,
+    name: str,
+    progress: Callable[[Rung], None] | None,
+    enough: Callable[[Sequence[Rung]], bool] | None,
+    frame: Frame,
+) -> SoupSolid:
     """Return the SoupSolid of a raw mesh (F triangles) with the colours (F,3,3) of its corners."""
     wanted = None if betti is None else wanted_of(betti)
     rungs = climb(raw, offsets, cells, progress, enough)
@@ -201,11 +204,11 @@ def placed(mesh: Mesh, frame: Frame) -> Mesh:
     return replace(mesh, vertices=frame.outward(mesh.vertices))
 
 
-def distances_to(solid: Mesh, target: Mesh, samples: int = SAMPLES, seed: int = 0) -> dict[str, float]:
+def distances_to(solid: Mesh, target: Mesh, samples: int = SAMPLES) -> dict[str, float]:
     """Return chamfer, chamfer_sum and hausdorff95 (see `point_distances`) of area-weighted samples of both,
     divided by the target's diagonal."""
     clouds = [
-        sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, f"solid: {purpose}"))[0]
+        sample_surface(mesh.vertices, mesh.faces, samples, stream(0, f"solid: {purpose}"))[0]
         for mesh, purpose in ((solid, "solid"), (target, "target"))
     ]
     return point_distances(clouds[0], clouds[1], target.diagonal)

@@ -44,7 +44,7 @@ TABLE_SIZE = 4001  # points of the tabulated area of a surface of revolution
 class BlindnessProbe:
     """One case, matched: clouds (n,3) float64, world units."""
 
-    name: str  # one of CASES
+    name: str
     dimension: int  # the discriminating one
     truth: np.ndarray  # sample of the ground truth
     a: np.ndarray  # sample of the topologically right one
@@ -70,9 +70,6 @@ class Reading:
         return self.bars[significant(self.bars, self.floor)]
 
 
-CASES = ("thin handle", "bridge", "puncture")
-
-
 def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> BlindnessProbe:
     """Return the case `name` (one of CASES) with A bisected to B's Chamfer, a function of all arguments.
 
@@ -80,70 +77,50 @@ def make_probe(name: str, seed: int = 0, samples: int = SAMPLES) -> BlindnessPro
     """
     if name not in CASES:
         raise InputError(f"unknown blindness probe {name!r}; choose one of {', '.join(CASES)}")
-    draws = {
-        which: stream(seed, f"probe-{name}-{which}").random((5, samples)) for which in ("truth", "a", "b")
-    }
-    truth_of, a_of, b_of, diagonal, dimension, low, high = _CASES[name]()
-    truth, b = truth_of(draws["truth"]), b_of(draws["b"])
-    wanted = chamfer_sum(b, truth, diagonal)
+    case = _CASES[name]
+    draws, drawn_a, drawn_b = (
+        stream(seed, f"probe-{name}-{which}").random((5, samples)) for which in ("truth", "a", "b")
+    )
+    truth, b = case.truth(draws), case.b(drawn_b)
+    wanted = chamfer_sum(b, truth, case.diagonal)
     parameter = _bisect(
-        lambda size: chamfer_sum(a_of(draws["a"], size), truth, diagonal) - wanted,
-        low,
-        high,
-        TOLERANCE * wanted,
-        name,
+        lambda size: chamfer_sum(case.a(drawn_a, size), truth, case.diagonal) / wanted - 1, case.bounds, name
     )
     return BlindnessProbe(
-        name=name,
-        dimension=dimension,
-        truth=truth,
-        a=a_of(draws["a"], parameter),
-        b=b,
-        diagonal=diagonal,
-        parameter=parameter,
+        name, case.dimension, truth, case.a(drawn_a, parameter), b, case.diagonal, parameter
     )
 
 
-def read(probe: BlindnessProbe, method: str = "fast") -> tuple[Reading, Reading]:
+def read(probe: BlindnessProbe) -> tuple[Reading, Reading]:
     """Return the readings of A and of B."""
-    truth, floor = _bars(probe.truth, probe, method)
+
+    def bars_of(cloud: np.ndarray) -> tuple[np.ndarray, float]:
+        return diagram_of(cloud, probe.diagonal)[probe.dimension], measurement_floor(cloud, probe.diagonal)
+
+    truth, floor = bars_of(probe.truth)
     target = truth[significant(truth, floor)]
     readings = []
     for cloud in (probe.a, probe.b):
-        bars, floor = _bars(cloud, probe, method)
-        distances = point_distances(cloud, probe.truth, probe.diagonal)
+        bars, floor = bars_of(cloud)
+        found = point_distances(cloud, probe.truth, probe.diagonal)
         distance = bottleneck(bars[significant(bars, floor)], target)
-        readings.append(
-            Reading(
-                chamfer_sum=distances["chamfer_sum"],
-                hausdorff95=distances["hausdorff95"],
-                bars=bars,
-                floor=floor,
-                target=target,
-                bottleneck=distance,
-            )
-        )
+        readings.append(Reading(found["chamfer_sum"], found["hausdorff95"], bars, floor, target, distance))
     return readings[0], readings[1]
 
 
 def noise_floor(probe: BlindnessProbe, seed: int = 0) -> float:
     """Return the Chamfer sum / D of a second sample of the ground truth: what a perfect surface reads."""
-    truth_of = _CASES[probe.name]()[0]
-    again = truth_of(stream(seed, f"probe-{probe.name}-again").random((5, len(probe.truth))))
+    again = _CASES[probe.name].truth(stream(seed, f"probe-{probe.name}-again").random((5, len(probe.truth))))
     return chamfer_sum(again, probe.truth, probe.diagonal)
 
 
-def _bars(cloud: np.ndarray, probe: BlindnessProbe, method: str) -> tuple[np.ndarray, float]:
-    bars = diagram_of(cloud, probe.diagonal, method)[probe.dimension]
-    return bars, measurement_floor(cloud, probe.diagonal)
-
-
-def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance: float, name: str) -> float:
-    """Return a parameter in [low, high] where |excess| <= tolerance.
+def _bisect(excess: Callable[[float], float], bounds: tuple[float, float], name: str) -> float:
+    """Return a parameter within `bounds` where |excess| <= TOLERANCE.
 
     The excess grows with the parameter, up to sampling noise. Raises InputError when the bounds hold no root.
     """
-    if excess(low) > tolerance or excess(high) < -tolerance:
+    low, high = bounds
+    if excess(low) > TOLERANCE or excess(high) < -TOLERANCE:
         raise InputError(
             f"no deformation of A between {low} and {high} has B's Chamfer in the probe {name!r}; "
             "change its bounds"
@@ -151,37 +128,28 @@ def _bisect(excess: Callable[[float], float], low: float, high: float, tolerance
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         value = excess(middle)
-        if abs(value) <= tolerance:
+        if abs(value) <= TOLERANCE:
             return middle
         low, high = (middle, high) if value < 0 else (low, middle)
     return (low + high) / 2
 
 
 def revolution(
-    radius: Callable[[np.ndarray], np.ndarray],
-    u: np.ndarray,
-    v: np.ndarray,
-    start: float = 0.0,
-    end: float = np.pi,
+    radius: Callable[[np.ndarray], np.ndarray], u: np.ndarray, v: np.ndarray, start: float = 0.0
 ) -> np.ndarray:
-    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, end], axis z.
+    """Return points (n,3) uniform by area on r = radius(polar angle), polar angle in [start, π], axis z.
 
     u, v (n,): uniform in [0,1). The area element r sqrt(r² + r'²) sin is tabulated and inverted, so that the
     points move continuously with `radius`.
     """
-    angle = np.linspace(start, end, TABLE_SIZE)
+    angle = np.linspace(start, np.pi, TABLE_SIZE)
     r = radius(angle)
     density = r * np.sqrt(r**2 + np.gradient(r, angle) ** 2) * np.sin(angle)
     cumulated = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
     polar = np.interp(u * cumulated[-1], cumulated, angle)
-    distance, turn = radius(polar), 2 * np.pi * v
-    return np.column_stack(
-        [
-            distance * np.sin(polar) * np.cos(turn),
-            distance * np.sin(polar) * np.sin(turn),
-            distance * np.cos(polar),
-        ]
-    )
+    turn = 2 * np.pi * v
+    unit = [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)]
+    return radius(polar)[:, None] * np.column_stack(unit)
 
 
 def sphere_points(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -190,17 +158,20 @@ def sphere_points(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
 
 
+def _sphere(draws: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    return scale * sphere_points(draws[0], draws[1])
+
+
 def _handle_points(draws: np.ndarray) -> np.ndarray:
     """Return points (n,3) on the outside of sphere ∪ ring, uniform by area; draws (5,n) uniform in [0,1)."""
     ring_area = 4 * np.pi**2 * HANDLE_MAJOR * HANDLE_TUBE
-    kept, rounds = [], 0
+    kept: list[np.ndarray] = []
     total = draws.shape[1]
     # Points inside the other surface are drawn again. A case is a function of its draws alone, so their fifth
     # row, which is for nothing else, names the generator of the further rounds: 53 random bits are its key.
     generator = np.random.Generator(np.random.Philox(key=int(draws[4, 0] * 2**53)))
-    while sum(map(len, kept)) < total:
-        d = draws if rounds == 0 else generator.random((5, total))
-        rounds += 1
+    while sum(len(each) for each in kept) < total:
+        d = generator.random((5, total)) if kept else draws
         sphere = sphere_points(d[0], d[1])
         turn, theta = 2 * np.pi * d[0], 2 * np.pi * d[1]
         radial = HANDLE_MAJOR + HANDLE_TUBE * np.cos(theta)
@@ -218,50 +189,49 @@ def _handle_points(draws: np.ndarray) -> np.ndarray:
     return np.concatenate(kept)[:total]
 
 
-def _thin_handle():
-    def bump(draws, height):
-        return revolution(
-            lambda angle: 1 + height * np.exp(-((2 * np.sin(angle / 2)) ** 2) / (2 * BUMP_WIDTH**2)),
-            draws[0],
-            draws[1],
-        )
+def _bumped(draws: np.ndarray, height: float) -> np.ndarray:
+    def radius(angle: np.ndarray) -> np.ndarray:
+        return 1 + height * np.exp(-((2 * np.sin(angle / 2)) ** 2) / (2 * BUMP_WIDTH**2))
 
-    return lambda draws: sphere_points(draws[0], draws[1]), bump, _handle_points, 2 * np.sqrt(3), 1, 0.0, 0.6
+    return revolution(radius, draws[0], draws[1])
 
 
-def _bridge():
+def _punctured(draws: np.ndarray) -> np.ndarray:
+    return revolution(np.ones_like, draws[0], draws[1], start=CAP_ANGLE)
+
+
+def _two_spheres(draws: np.ndarray, scale: float = 1.0) -> np.ndarray:
     shift = np.array([1 + GAP / 2, 0.0, 0.0])
-
-    def spheres(draws, scale=1.0):
-        return scale * (sphere_points(draws[0], draws[1]) + np.where(draws[2] < 0.5, 1, -1)[:, None] * shift)
-
-    def bridged(draws):
-        half = GAP / 2 + 1 - np.sqrt(1 - BRIDGE_RADIUS**2)  # the tube ends on the spheres
-        tube_area = 2 * np.pi * BRIDGE_RADIUS * 2 * half
-        turn = 2 * np.pi * draws[1]
-        tube = np.column_stack(
-            [half * (2 * draws[0] - 1), BRIDGE_RADIUS * np.cos(turn), BRIDGE_RADIUS * np.sin(turn)]
-        )
-        on_tube = draws[3] * (tube_area + 8 * np.pi) < tube_area
-        return np.where(on_tube[:, None], tube, spheres(draws))
-
-    diagonal = float(np.linalg.norm([4 + GAP, 2, 2]))
-    return spheres, spheres, bridged, diagonal, 0, 1.0, 1.1
+    return scale * (_sphere(draws) + np.where(draws[2] < 0.5, 1, -1)[:, None] * shift)
 
 
-def _puncture():
-    def punctured(draws):
-        return revolution(np.ones_like, draws[0], draws[1], start=CAP_ANGLE)
-
-    return (
-        lambda draws: sphere_points(draws[0], draws[1]),
-        lambda draws, scale: scale * sphere_points(draws[0], draws[1]),
-        punctured,
-        2 * np.sqrt(3),
-        2,
-        1.0,
-        1.1,
+def _bridged(draws: np.ndarray) -> np.ndarray:
+    half = GAP / 2 + 1 - np.sqrt(1 - BRIDGE_RADIUS**2)  # the tube ends on the spheres
+    tube_area = 2 * np.pi * BRIDGE_RADIUS * 2 * half
+    turn = 2 * np.pi * draws[1]
+    tube = np.column_stack(
+        [half * (2 * draws[0] - 1), BRIDGE_RADIUS * np.cos(turn), BRIDGE_RADIUS * np.sin(turn)]
     )
+    on_tube = draws[3] * (tube_area + 8 * np.pi) < tube_area
+    return np.where(on_tube[:, None], tube, _two_spheres(draws))
 
 
-_CASES = {"thin handle": _thin_handle, "bridge": _bridge, "puncture": _puncture}
+@dataclass(frozen=True)
+class _Case:
+    """Samplers of draws (5,n), uniform in [0,1), and what the bisection needs."""
+
+    truth: Callable[[np.ndarray], np.ndarray]
+    a: Callable[[np.ndarray, float], np.ndarray]  # of the deformation's size, too
+    b: Callable[[np.ndarray], np.ndarray]
+    diagonal: float
+    dimension: int
+    bounds: tuple[float, float]  # of the deformation
+
+
+_SPHERE, _BRIDGE = 2 * np.sqrt(3), float(np.linalg.norm([4 + GAP, 2, 2]))  # diagonals
+_CASES = {
+    "thin handle": _Case(_sphere, _bumped, _handle_points, _SPHERE, 1, (0.0, 0.6)),
+    "bridge": _Case(_two_spheres, _two_spheres, _bridged, _BRIDGE, 0, (1.0, 1.1)),
+    "puncture": _Case(_sphere, _sphere, _punctured, _SPHERE, 2, (1.0, 1.1)),
+}
+CASES = tuple(_CASES)

@@ -89,7 +89,9 @@ def polygon_counts(path: Path | str) -> tuple[int, int, int] | None:
     own polygons, indexed by position; None when it is no OBJ file or all its faces are triangles."""
     if Path(path).suffix != ".obj":
         return None
-    polygons, points, number = [], {}, []
+    polygons: list[list[int]] = []
+    points: dict[tuple[float, ...], int] = {}
+    number: list[int] = []
     for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["v"]:  # equal points are one vertex
@@ -115,5 +117,5 @@ def same_certificate(left: dict, right: dict) -> bool:
     volumes = [[part.pop("volume", None) for part in each.get("components", ())] for each in both]
     if both[0] != both[1]:
         return False
-    numbers = [np.array(each, dtype=float) for each in volumes]  # None becomes NaN
-    return np.allclose(*numbers, rtol=1e-9, atol=0, equal_nan=True)
+    first, second = (np.array(each, dtype=float) for each in volumes)  # None becomes NaN
+    return np.allclose(first, second, rtol=1e-9, atol=0, equal_nan=True)

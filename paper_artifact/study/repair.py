@@ -16,7 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
+import gudhi
 import numpy as np
 import torch
 
@@ -35,6 +37,7 @@ CHAIN, DENSE_CHAIN = 6, 24  # T4, T4d: points of the bridge
 ROUNDING = 1e-12  # a bottleneck below this is zero
 FINAL_RATE = 0.01  # the learning rate decays to this fraction
 REFRESH_EVERY = 10  # steps
+_Parts = tuple[np.ndarray, np.ndarray, int, float, int]  # start, target, dimension, first rate, steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,7 @@ class Trajectory:
         return float(first / last) if last > ROUNDING else float("inf")
 
 
-def make_probe(name: str, seed: int = 0, method: str = "fast") -> RepairProbe:
+def make_probe(name: str, seed: int = 0) -> RepairProbe:
     """Return probe "T1", "T2", "T3", "T4" or "T4d"; its clouds are a function of `seed`.
 
     Raises InputError for another name.
@@ -81,16 +84,8 @@ def make_probe(name: str, seed: int = 0, method: str = "fast") -> RepairProbe:
     diagonal = float(np.linalg.norm(np.ptp(target, axis=0)))
     # T2's target has no loop on purpose: every significant live one goes to the diagonal.
     choice = {"suppress": (1,), "dimensions": ()} if name == "T2" else {"dimensions": (dimension,)}
-    bundle = build_bundle(target, diagonal, shape=name, seed=seed, method=method, **choice)
-    return RepairProbe(
-        name=name,
-        start=start,
-        target=target,
-        bundle=bundle,
-        dimension=dimension,
-        learning_rate=learning_rate,
-        steps=steps,
-    )
+    bundle = build_bundle(target, diagonal, shape=name, seed=seed, **choice)
+    return RepairProbe(name, start, target, bundle, dimension, learning_rate, steps)
 
 
 def repair(
@@ -100,20 +95,15 @@ def repair(
     recruitment: bool = True,
     record_every: int = 10,
     seed: int = 0,
-    method: str = "fast",
     final_rate: float = FINAL_RATE,
-    progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Return the trajectory of the loss alone, with Adam on the probe's points.
 
     steps: fewer or more than the probe's; recruitment False shows Lemma 1 on T4: nothing moves; record_every:
-    a multiple of REFRESH_EVERY; final_rate: the fraction that the learning rate decays to, 1 for none;
-    progress: called with each step.
+    a multiple of REFRESH_EVERY; final_rate: the fraction that the learning rate decays to, 1 for none.
     """
     bundle, dimension = probe.bundle, probe.dimension
-    loss = TopologyLoss(
-        bundle, refresh_every=REFRESH_EVERY, recruitment=recruitment, seed=seed, method=method
-    )
+    loss = TopologyLoss(bundle, refresh_every=REFRESH_EVERY, recruitment=recruitment, seed=seed)
     points = torch.tensor(probe.start, requires_grad=True)
     adam = torch.optim.Adam([points], lr=probe.learning_rate)
     total = probe.steps if steps is None else steps
@@ -124,23 +114,20 @@ def repair(
     for step in range(total + 1):
         if step % record_every == 0 or step == total:
             cloud = points.detach().numpy()
-            bars = alpha_persistence(cloud / bundle.diagonal, method, as_given=True)[dimension].diagram
+            bars = alpha_persistence(cloud / bundle.diagonal, as_given=True)[dimension].diagram
             kept = bars[significant(bars, bundle.floor)]
-            rows.append([step, _bottleneck(kept, bundle.bars[dimension]), len(kept), 0.0, 0])
+            distance = float(gudhi.bottleneck_distance(kept, bundle.bars[dimension]))
+            rows.append([step, distance, len(kept), 0.0, 0])
         value = loss(points)
-        if rows[-1][0] == step:
-            rows[-1][3:] = [
-                float(value.detach()),
-                loss.plan.report["dimensions"][str(dimension)]["recruited"],
-            ]
+        if rows[-1][0] == step and loss.plan is not None:
+            recruited = loss.plan.report["dimensions"][str(dimension)]["recruited"]
+            rows[-1][3:] = [float(value.detach()), recruited]
         if step == total:
             break
         adam.zero_grad()
         value.backward()
         adam.step()
         decay.step()
-        if progress is not None:
-            progress(step)
     table = np.array(rows)
     return Trajectory(
         name=probe.name,
@@ -154,12 +141,6 @@ def repair(
     )
 
 
-def _bottleneck(a: np.ndarray, b: np.ndarray) -> float:
-    import gudhi
-
-    return float(gudhi.bottleneck_distance(a, b))
-
-
 def _sphere(generator: np.random.Generator, count: int) -> np.ndarray:
     directions = generator.standard_normal((count, 3))
     # Exactly cospherical points are the slow case of exact predicates; 1e-6 is far below every spacing here.
@@ -167,14 +148,14 @@ def _sphere(generator: np.random.Generator, count: int) -> np.ndarray:
     return radii * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def _punctured(generator):
+def _punctured(generator: np.random.Generator) -> _Parts:
     """Return 1024 points on the sphere outside the cap, and on the whole sphere as the target."""
     candidates = _sphere(generator, 2048)
     outside = candidates[candidates[:, 2] <= np.sqrt(1 - CAP_OPENING**2)]
     return outside[:1024], _sphere(generator, 1024), 2, 0.01, 600
 
 
-def _handle(generator):
+def _handle(generator: np.random.Generator) -> _Parts:
     """Return 1400 points on sphere and handle, by area, and on the sphere as the target."""
     handle_area = 4 * np.pi**2 * HANDLE_MAJOR * HANDLE_TUBE
     fraction = handle_area / (handle_area + 4 * np.pi)
@@ -188,25 +169,20 @@ def _handle(generator):
     )
     torus = torus[np.linalg.norm(torus, axis=1) > 1]  # the part inside the sphere is no surface of the union
     count = round(1400 * fraction * len(torus) / kept.sum())
-    return (
-        np.vstack([_sphere(generator, 1400 - count), torus[:count]]),
-        _sphere(generator, 1400),
-        1,
-        0.01,
-        600,
-    )
+    start = np.vstack([_sphere(generator, 1400 - count), torus[:count]])
+    return start, _sphere(generator, 1400), 1, 0.01, 600
 
 
-def _two_spheres(generator, gap: float, each: int) -> np.ndarray:
+def _two_spheres(generator: np.random.Generator, gap: float, each: int) -> np.ndarray:
     shift = np.array([1 + gap / 2, 0.0, 0.0])
     return np.vstack([_sphere(generator, each) - shift, _sphere(generator, each) + shift])
 
 
-def _spacing(generator):
+def _spacing(generator: np.random.Generator) -> _Parts:
     return _two_spheres(generator, LIVE_GAP, 512), _two_spheres(generator, TARGET_GAP, 512), 0, 0.03, 1000
 
 
-def _bridge(generator, links: int = CHAIN):
+def _bridge(generator: np.random.Generator, links: int = CHAIN) -> _Parts:
     each = 500
     joined = _two_spheres(generator, TARGET_GAP, each)
     along = (np.arange(links) + 0.5) / links - 0.5
@@ -214,8 +190,10 @@ def _bridge(generator, links: int = CHAIN):
     return np.vstack([joined, chain]), _two_spheres(generator, TARGET_GAP, each + links // 2), 0, 0.01, 1000
 
 
-def _dense_bridge(generator):
-    return _bridge(generator, DENSE_CHAIN)
-
-
-_PROBES = {"T1": _punctured, "T2": _handle, "T3": _spacing, "T4": _bridge, "T4d": _dense_bridge}
+_PROBES: dict[str, Callable[[np.random.Generator], _Parts]] = {
+    "T1": _punctured,
+    "T2": _handle,
+    "T3": _spacing,
+    "T4": _bridge,
+    "T4d": partial(_bridge, links=DENSE_CHAIN),
+}

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
@@ -169,7 +169,7 @@ def remote_run(values: dict, device: str) -> tuple[float, dict]:
 
 def run_all(
     todo: list[RunConfig], results: Path, device: str, workers: int, client: Any = None
-) -> Iterator[Outcome | Step]:
+) -> Generator[Outcome | Step, None, None]:
     """Yield outcomes as runs end; of local processes, at most `workers` at once, also steps meanwhile.
 
     client: of a Dask cluster, which runs them; records come back to this machine, soups do not. Runs of a
