@@ -10,7 +10,7 @@ import sys
 import types
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import pytest
 
@@ -53,7 +53,7 @@ class Trial(Options):
 
     place: Positional[Source | None] = None
     number: Annotated[int, 2, 9] | None = None
-    size: Literal[*SIZES] = "small"
+    size: Annotated[str, tuple(SIZES)] = "small"
     several: tuple[int, ...] = (1, 2)
     changes: list[str] = field(default_factory=list)
     json: Path | None = None

@@ -39,22 +39,8 @@ def soup_file(tmp_path):
 
 def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
     out = tmp_path / "dump.json"
-    assert (
-        main(
-            [
-                "evaluate",
-                str(soup_file),
-                "--target",
-                "sphere",
-                "--samples",
-                "3000",
-                "--json",
-                str(out),
-                "--quiet",
-            ]
-        )
-        == 0
-    )
+    words = f"evaluate {soup_file} --target sphere --samples 3000 --json {out} --quiet"
+    assert main(words.split()) == 0
     printed = capsys.readouterr().out
     result = json.loads(out.read_text())
     assert result["dimension"] == 2 and result["counts"] == result["target_counts"] == [0, 0, 1]
@@ -65,19 +51,8 @@ def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
 
 def test_evaluate_of_a_mesh_file(tmp_path, capsys):
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
-    assert (
-        main(
-            [
-                "evaluate",
-                str(tmp_path / "ball.ply"),
-                "--target",
-                str(tmp_path / "ball.ply"),
-                "--samples",
-                "2000",
-            ]
-        )
-        == 0
-    )
+    words = f"evaluate {tmp_path}/ball.ply --target {tmp_path}/ball.ply --samples 2000"
+    assert main(words.split()) == 0
     assert "ball" in capsys.readouterr().out
 
 
@@ -98,23 +73,8 @@ def test_evaluate_names_bad_input(soup_file, arguments, code, reason, capsys):
 
 def test_export_writes_every_format(soup_file, tmp_path, capsys):
     out = tmp_path / "exports"
-    assert (
-        main(
-            [
-                "export",
-                str(soup_file),
-                "--out",
-                str(out),
-                "--views",
-                "2",
-                "--size",
-                "48",
-                "--target",
-                "sphere",
-            ]
-        )
-        == 0
-    )
+    words = f"export {soup_file} --out {out} --views 2 --size 48 --target sphere"
+    assert main(words.split()) == 0
     names = sorted(path.name for path in out.iterdir())
     assert names == [
         f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
