@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import operator
-
 import numba
 import numpy as np
 import pytest
@@ -57,58 +55,6 @@ def test_a_part_reads_no_further():
     assert np.isnan(read(x, 2))
 
 
-COMPARISONS = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
-
-
-@pytest.mark.parametrize("compare", COMPARISONS)
-@pytest.mark.parametrize("source", [floats, integers])
-def test_comparisons_and_masks(compare, source):
-    @numba.njit
-    def run(x, y):
-        a, b = lanes.load(x, 0), lanes.load(y, 0)
-        mask = compare(a, b)
-        odd = (lanes.iota() & 1) == 1
-        return lanes.bits(mask), lanes.bits(~mask | odd), lanes.bits(mask & odd), lanes.bits(mask ^ odd)
-
-    x, y = source(0, 16), source(1, 16)
-    x[::3] = y[::3]
-    if source is floats:
-        x[5] = np.nan
-    mask, odd = compare(x, y), np.arange(16) % 2 == 1
-    expected = [int((1 << np.arange(16))[each].sum()) for each in (mask, ~mask | odd, mask & odd, mask ^ odd)]
-    assert list(run(x, y)) == expected
-
-
-def test_integers_wrap_and_shift_as_unsigned_ones():
-    @numba.njit
-    def run(x, y, out):
-        a, b = lanes.load(x, 0), lanes.load(y, 0)
-        mixed = (a ^ (a >> 16)) * lanes.splat_int(0x7FEB352D) + (b << 3)
-        lanes.store(out, 0, (mixed | b) - (a & -b))
-
-    x, y, out = integers(0, 16), integers(1, 16), np.empty(16, np.int32)
-    run(x, y, out)
-    a, b = x.view(np.uint32), y.view(np.uint32)
-    mixed = (a ^ (a >> np.uint32(16))) * np.uint32(0x7FEB352D) + (b << np.uint32(3))
-    assert np.array_equal(out.view(np.uint32), (mixed | b) - (a & (~b + np.uint32(1))))
-
-
-def test_selection_extremes_and_conversion():
-    @numba.njit
-    def run(x, y, whole, out):
-        a, b = lanes.load(x, 0), lanes.load(y, 0)
-        lanes.store(out, 0, lanes.select(a < b, a, 0.5))
-        lanes.store(out, 16, lanes.minimum(a, b))
-        lanes.store(out, 32, lanes.maximum(a, 0.0))
-        lanes.store(out, 48, lanes.to_float(lanes.load(whole, 0)))
-
-    x, y, whole, out = floats(0, 16), floats(1, 16), integers(2, 16), np.empty(64, np.float32)
-    run(x, y, whole, out)
-    assert np.array_equal(out[:16], np.where(x < y, x, np.float32(0.5)))
-    assert np.array_equal(out[16:48], np.r_[np.minimum(x, y), np.maximum(x, 0)])
-    assert np.array_equal(out[48:], whole.astype(np.float32))
-
-
 def test_lanes_move_where_they_should():
     @numba.njit
     def run(x, out, mask_of):
@@ -127,26 +73,6 @@ def test_lanes_move_where_they_should():
         assert run(x, out, border) == len(kept)
         assert np.array_equal(out[:16], x[5:21]) and np.array_equal(out[16:32], x[8:24])
         assert np.array_equal(out[32:], np.r_[kept, np.zeros(16 - len(kept), np.float32)])
-
-
-def test_zips_and_halves_are_each_others_inverse_and_totals_add_halves():
-    @numba.njit
-    def run(x, out):
-        a, b = lanes.load(x, 0), lanes.load(x, 16)
-        low, high = lanes.zip_low(a, b), lanes.zip_high(a, b)
-        lanes.store(out, 0, low)
-        lanes.store(out, 16, high)
-        lanes.store(out, 32, lanes.evens(low, high))
-        lanes.store(out, 48, lanes.odds(low, high))
-        return lanes.total(a), lanes.total(lanes.load8(x, 0))
-
-    x, out = floats(0, 32), np.empty(64, np.float32)
-    totals, halves = run(x, out), [x[:16], x[:8]]
-    assert np.array_equal(out[:32], x.reshape(2, 16).T.reshape(-1)) and np.array_equal(out[32:], x)
-    for total, half in zip(totals, halves, strict=True):
-        while len(half) > 1:
-            half = half[: len(half) // 2] + half[len(half) // 2 :]
-        assert total == half[0]
 
 
 def test_gather_and_scatter_leave_other_places_alone():

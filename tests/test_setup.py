@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -13,6 +14,7 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import paper_artifact
 from paper_artifact.files import REPOSITORY
 
 OPTIONAL = {"pycolmap", "dracopy"}  # no wheel for Linux on ARM; its tests are skipped where it is missing
@@ -80,6 +82,13 @@ def test_versions_stand_in_one_place_and_are_what_is_installed():
     assert len(named) == len(set(named)), "each package is named once"
     assert set(named) == set(pins()) - {"setuptools", "uv"}, "pyproject.toml names what environment.yml pins"
     assert all(name.replace("-", "_").isidentifier() for name in named), "names only, no versions"
+
+
+def test_citation_and_archive_say_the_same_as_the_package():
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    archive = json.loads((REPOSITORY / ".zenodo.json").read_text())
+    assert citation["version"] == archive["version"] == paper_artifact.__version__
+    assert citation["title"] == archive["title"] and citation["license"] == archive["license"]
 
 
 def test_the_locks_have_every_pin_and_a_hash_for_every_file():
@@ -178,6 +187,12 @@ def test_first_run_installs_the_locks_and_the_second_does_not(setup):
     lock.write_text(lock.read_text().replace("scipy==1.17.1", "scipy==1.17.2"))
     assert setup.run("-k", "x").returncode == 0
     assert setup.installs() and not [call for call in setup.calls() if call.startswith("-m venv")]
+
+
+def test_takes_the_torch_of_pypi_where_no_cpu_build_is_found(setup):
+    setup.add("python3.11")
+    assert setup.run("-k", "x", STUB_MISSING="torch-cpu.lock").returncode == 0
+    assert setup.installs() == ["torch-cpu.lock", "torch-cuda.lock", "packages.lock"]
 
 
 def test_runs_all_checks_and_passes_a_failure_on(setup):

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from paper_artifact import staircase as kit
-from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.catalogue import SHAPES, shape_row, shapes_of, study_config
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
-from paper_artifact.ingest.hot_pot import pot_solid
 from paper_artifact.results import measured, published
 from paper_artifact.scene.fetch import sources
 from paper_artifact.scene.shapes import find_mesh, make_shape
@@ -73,11 +71,6 @@ def test_margins_decide_as_the_bundles_do():
     assert [len(each) for each in bars] == [2, 1]
     with pytest.raises(InputError, match="pebble"):
         kit.bundle_margins(("pebble",), (0,))
-
-
-def test_the_rule_gives_the_pot_the_study_s_protocol():
-    decision, row = audit_mesh(pot_solid().shell, "pot", densities=(2048, 8192)).decision, shape_row("pot")
-    assert (decision.dimension, decision.samples, decision.dimensions) == (2, row.samples, row.dimensions)
 
 
 def test_polygons_are_counted_before_any_split(tmp_path):

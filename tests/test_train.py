@@ -95,30 +95,21 @@ def test_history_of_a_run(trained):
     )
 
 
-def test_torch_itself_trains_on_one_thread(tiny_scene):
-    # With two, torch cuts large tensors elsewhere and a 5,250-triangle torus run differs from step 20 or so
-    # on.
-    inside, before = [], torch.get_num_threads()
+def test_threads_change_no_bit_and_torch_itself_trains_on_one(trained, tiny_scene):
+    # With two, torch cuts large tensors elsewhere: a 5,250-triangle torus run differs from step 20 or so on.
+    inside, before = [], (torch.get_num_threads(), thread_count())
+
+    def note(step: int, text: str) -> None:
+        inside.append(torch.get_num_threads())
+
     try:
         torch.set_num_threads(2)
-        train(
-            tiny_scene,
-            tiny_config(steps=2),
-            device="cpu",
-            progress=lambda step, text: inside.append(torch.get_num_threads()),
-        )
-        assert inside == [1, 1] and torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
-
-
-def test_one_and_two_threads_give_the_same_bits(trained, tiny_scene):
-    before = thread_count()
-    try:
         set_thread_count(2)
-        assert same_bits(trained, train(tiny_scene, tiny_config(), evaluate=dump, device="cpu"))
+        again = train(tiny_scene, tiny_config(), evaluate=dump, device="cpu", progress=note)
+        assert same_bits(trained, again) and set(inside) == {1} and torch.get_num_threads() == 2
     finally:
-        set_thread_count(before)
+        torch.set_num_threads(before[0])
+        set_thread_count(before[1])
 
 
 def test_evaluation_and_progress_change_no_bit_and_another_seed_does(trained, tiny_scene):
