@@ -173,13 +173,6 @@ def marker_of(arm: str) -> str | tuple[int, int, int]:
     return MARKERS[names.index(tag_of(arm)) % len(MARKERS)] if tag_of(arm) in names else "."
 
 
-def in_order(names: Sequence[str]) -> list[str]:
-    """Return arms in the order of the tables: by their conditions' rows, changed settings behind the
-    condition's own; tags that are not in the catalogue last, by name."""
-    order = {each.name: place for place, each in enumerate(CONDITIONS)}
-    return sorted(names, key=lambda name: (order.get(tag_of(name), len(order)), name))
-
-
 def study_config(
     shape: str,
     condition: str = BASELINE,

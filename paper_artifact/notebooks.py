@@ -28,7 +28,6 @@ EXECUTED = RESULTS / "executed"
 FIGURES = RESULTS / "book" / "figures"
 PROFILES = ("recorded", "full")
 KERNEL = "python3"
-LONGEST_ERROR = 160  # characters of an error in the table
 
 
 @dataclass(frozen=True)
@@ -178,15 +177,3 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
                 if output.output_type == "execute_result":
                     output.execution_count = count
     return result
-
-
-def execution_table(executions: Sequence[Execution]) -> str:
-    """Return the table notebook / time / status as aligned text, one line per notebook."""
-    width = max([len("notebook"), *(len(each.name) for each in executions)])
-    lines = [f"{'notebook':<{width}}  {'time':>8}  status"]
-    for each in executions:
-        minutes, seconds = divmod(round(each.seconds, 1), 60)
-        error = each.error if len(each.error) <= LONGEST_ERROR else each.error[: LONGEST_ERROR - 3] + "..."
-        status = f"FAILED: {error}" if error else "ok"
-        lines.append(f"{each.name:<{width}}  {int(minutes):>3}:{seconds:04.1f}  {status}")
-    return "\n".join(lines)

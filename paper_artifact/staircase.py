@@ -15,7 +15,7 @@ import pandas as pd
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.staircase import KEPT, longest, measure
+from paper_artifact.evaluate.diagram import KEPT, longest, measure
 from paper_artifact.mesh import Mesh
 from paper_artifact.results import published
 from paper_artifact.sampling import face_areas

@@ -22,7 +22,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.certify.certificate import certify
 from paper_artifact.config import parse_changes
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.staircase import measure
+from paper_artifact.evaluate.diagram import measure
 from paper_artifact.mesh import checked_mesh
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.randomness import stream

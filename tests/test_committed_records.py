@@ -11,9 +11,8 @@ import pytest
 from paper_artifact import results
 from paper_artifact.catalogue import shape_row
 from paper_artifact.config import RunConfig
-from paper_artifact.evaluate.diagram import significant_counts
+from paper_artifact.evaluate.diagram import measure, significant_counts
 from paper_artifact.evaluate.scores import evaluate_soup, make_target, tail
-from paper_artifact.evaluate.staircase import measure
 from paper_artifact.record.store import RUNS, config_of, read_record
 from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import load_soup

@@ -23,7 +23,7 @@ import torch
 from paper_artifact import cli, files
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.scores import make_target
-from paper_artifact.export.renders import write_png
+from paper_artifact.export.flat import write_png
 from paper_artifact.files import REPOSITORY
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import find_records, make_record, write_record

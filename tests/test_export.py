@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
+from paper_artifact.export.flat import sheet, write_png
 from paper_artifact.export.models import (
     Triangles,
     mesh_triangles,
@@ -27,7 +28,6 @@ from paper_artifact.export.models import (
     write_glb,
     write_ply,
 )
-from paper_artifact.export.renders import sheet, write_png
 from paper_artifact.export.viewer import (
     framing,
     html_page,

@@ -14,8 +14,7 @@ import trimesh
 from paper_artifact import cli
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.diagram import lifetimes
-from paper_artifact.evaluate.staircase import measure
+from paper_artifact.evaluate.diagram import lifetimes, measure
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest import solidify as module
 from paper_artifact.ingest.distance import distance_grid

@@ -12,7 +12,7 @@ import pytest
 from paper_artifact.audit.rule import WORKING, Decision, Rung, decide
 from paper_artifact.catalogue import SHAPES, Shape
 from paper_artifact.certify.certificate import certify_mesh
-from paper_artifact.evaluate.staircase import KEPT
+from paper_artifact.evaluate.diagram import KEPT
 from paper_artifact.results import measured
 from paper_artifact.scene.shapes import find_mesh, surface
 from paper_artifact.staircase import staircase

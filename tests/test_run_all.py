@@ -14,9 +14,10 @@ import pytest
 from nbformat import v4
 
 from paper_artifact.cli import main
+from paper_artifact.cli.notebooks import execution_table
 from paper_artifact.errors import InputError
 from paper_artifact.files import FIGURES_VARIABLE
-from paper_artifact.notebooks import Execution, cleaned, execute, execution_table, notebook_files, own_kernel
+from paper_artifact.notebooks import Execution, cleaned, execute, notebook_files, own_kernel
 
 PARAMETERS = 'profile = "recorded"'
 

@@ -59,14 +59,15 @@ def row_of(cloud: str, size: int, turns: int = TURNS) -> dict:
     points = points_of(STUDY_CLOUDS, cloud, size)
     clocks: dict[str, list[dict[str, float]]] = {"gudhi": [], "fast": []}
 
-    def timed(name: str, persistence: Callable) -> None:
+    def new_clock(name: str) -> dict[str, float]:
         clocks[name].append({})
-        persistence(points, clocks[name][-1])
+        return clocks[name][-1]
 
-    taken = in_turn(
-        {"gudhi": lambda: timed("gudhi", gudhi_persistence), "fast": lambda: timed("fast", fast_persistence)},
-        turns,
-    )
+    calls = {
+        "gudhi": lambda: gudhi_persistence(points, clock=new_clock("gudhi")),
+        "fast": lambda: fast_persistence(points, clock=new_clock("fast")),
+    }
+    taken = in_turn(calls, turns)
     row = {"cloud": cloud, "M": size, "tetrahedra": len(Delaunay(points).simplices)}
     row |= {f"{name}_ms": 1e3 * clock["cpu"].median() for name, clock in taken.items()}
     row["ratio"] = row["gudhi_ms"] / row["fast_ms"]

@@ -14,8 +14,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.config import LossConfig, RunConfig
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars
-from paper_artifact.evaluate.staircase import measure
+from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars, measure
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface

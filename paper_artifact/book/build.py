@@ -158,12 +158,12 @@ def _build(
     return found
 
 
-def items(claims: pd.DataFrame, folder: Path = PUBLISHED) -> list[Item]:
+def items(claims: pd.DataFrame) -> list[Item]:
     """Return the paper's items in its order. Raises InputError when `items.csv` cannot be read."""
     try:
-        table = pd.read_csv(folder / "items.csv", dtype=str, keep_default_na=False)
+        table = pd.read_csv(PUBLISHED / "items.csv", dtype=str, keep_default_na=False)
     except OSError as error:
-        raise InputError(f"there is no items.csv in {folder}; work in a checkout") from error
+        raise InputError(f"there is no items.csv in {PUBLISHED}; work in a checkout") from error
     return [
         Item(
             row.item,

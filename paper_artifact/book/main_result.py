@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -101,7 +100,7 @@ def picture_svg(runs: pd.DataFrame) -> str:
     return f"{head}<title>Tails of C0, C1 and C2</title><desc>{text}</desc>\n <metadata>{tail}"
 
 
-def picture_numbers(path: Path = PICTURE) -> dict | None:
-    """Return the numbers that a picture of `picture_svg` holds, None where it holds none."""
-    found = NUMBERS.search(path.read_text(encoding="utf-8"))
+def picture_numbers() -> dict | None:
+    """Return the numbers that the README's picture holds, None where it holds none."""
+    found = NUMBERS.search(PICTURE.read_text(encoding="utf-8"))
     return json.loads(html.unescape(found[1])) if found else None

@@ -41,8 +41,8 @@ class Export(ReadingOptions):
 
 def export(options: Export) -> int:
     """Write the files and print their paths. Returns 0."""
+    from paper_artifact.export.flat import orbit_renders, scene_renders, sheet, write_png
     from paper_artifact.export.models import mesh_triangles, soup_triangles, write_glb, write_ply
-    from paper_artifact.export.renders import orbit_renders, scene_renders, sheet, write_png
     from paper_artifact.export.viewer import write_html
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.shapes import find_mesh

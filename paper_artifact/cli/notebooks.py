@@ -9,19 +9,20 @@ from typing import Annotated
 
 from paper_artifact.cli.bars import bar
 from paper_artifact.cli.options import Options
-from paper_artifact.cli.output import next_command
+from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.files import RESULTS, write_text
 from paper_artifact.notebooks import (
     EXECUTED,
     FIGURES,
     NOTEBOOKS,
     PROFILES,
+    Execution,
     execute,
-    execution_table,
     notebook_files,
     own_kernel,
 )
 
+LONGEST_ERROR = 160  # characters of an error in the table
 PARTS = 5  # that `book.build.build` names
 
 
@@ -75,6 +76,17 @@ def run_all(options: RunAll) -> int:
         return 1
     print(next_command("book"))
     return 0
+
+
+def execution_table(executions: list[Execution]) -> str:
+    """Return the table notebook / time / status, one line per notebook."""
+    rows = []
+    for each in executions:
+        minutes, seconds = divmod(round(each.seconds, 1), 60)
+        short = len(each.error) <= LONGEST_ERROR
+        error = each.error if short else each.error[: LONGEST_ERROR - 3] + "..."
+        rows.append((each.name, f"{int(minutes):>3}:{seconds:04.1f}", f"FAILED: {error}" if error else "ok"))
+    return to_string(("notebook", "  time", "status"), rows)
 
 
 @dataclass(frozen=True, kw_only=True)

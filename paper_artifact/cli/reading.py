@@ -11,7 +11,6 @@ from paper_artifact.cli.options import Options, Source, WrongUsage, usage_checke
 from paper_artifact.config import GivenConfig, with_changes
 
 READING = ("downscale", "background", "holdout")
-GROUP = "one's own photographs"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,9 +89,6 @@ def ingest(options: Ingest) -> tuple[int, dict]:
     return 0, solid.to_json()
 
 
-OF_PHOTOGRAPHS = "of a soup of photographs, only what they are of"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Solidify(Options):
     """Options of `solidify`.

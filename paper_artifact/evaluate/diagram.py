@@ -14,24 +14,36 @@ import numpy as np
 
 from paper_artifact.alpha.distances import bottleneck
 from paper_artifact.errors import require_memory
-from paper_artifact.topology.floor import check_diagonal
+from paper_artifact.mesh import Mesh
+from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_surface
+from paper_artifact.topology.floor import MULTIPLIER, check_diagonal, measurement_floor
 
 BYTES_PER_POINT = 3000  # of alpha persistence: 300,000 points of a soup take 1.15 GB, uniform ones half of it
+MOST = 24  # bars of a dimension that a record keeps
+KEPT = 4  # longest bars kept per dimension: no surface of the study has more classes than that
 Diagram = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def diagram_of(points: np.ndarray, diagonal: float, method: str = "fast") -> Diagram:
+def diagram_of(points: np.ndarray, diagonal: float) -> Diagram:
     """Return the diagram of `points` (n,3) float64, world units, normalised by `diagonal` (world units).
 
-    method: "fast" (the artifact's own persistence) or "gudhi" (precision "safe"); both give the same bars.
     Raises InputError for a diagonal that is not positive, and what `alpha_persistence` raises for its points.
     """
     from paper_artifact.alpha.persistence import alpha_persistence  # compiled kernels: only when needed
 
     check_diagonal(diagonal)
     require_memory_for(len(points))
-    pairs = alpha_persistence(points, method, as_given=True)
-    return tuple(np.column_stack([each.births, each.deaths]) / float(diagonal) for each in pairs)
+    pairs = alpha_persistence(points, as_given=True)
+    h0, h1, h2 = (np.column_stack([each.births, each.deaths]) / float(diagonal) for each in pairs)
+    return h0, h1, h2
+
+
+def measure(mesh: Mesh, samples: int, seed: int) -> tuple[Diagram, float]:
+    """Return (diagram, floor), radius / diagonal, of `samples` points of the mesh, those of a bundle: one
+    rung of a density staircase (App. B, §6)."""
+    points, _, _ = sample_surface(mesh.vertices, mesh.faces, samples, stream(seed, "bundle-samples"))
+    return diagram_of(points, mesh.diagonal), measurement_floor(points, mesh.diagonal, MULTIPLIER)
 
 
 def require_memory_for(samples: int) -> None:
@@ -49,19 +61,27 @@ def significant_counts(diagram: Sequence[np.ndarray], floor: float) -> tuple[int
 
     A connected shape counts 0 in dimension 0: add one for the infinite bar to compare with a Betti number.
     """
-    return tuple(int((lifetimes(bars) > floor).sum()) for bars in diagram)
+    h0, h1, h2 = (int((lifetimes(bars) > floor).sum()) for bars in diagram)
+    return h0, h1, h2
 
 
-def longest_bars(bars: np.ndarray, floor: float, at_least: int = 8, at_most: int = 24) -> np.ndarray:
-    """Return the longest of `bars` (k,2), longest first: those above half the `floor`, within the two limits.
+def longest(bars: np.ndarray, count: int = KEPT) -> np.ndarray:
+    """Return the `count` longest lifetimes (count,) of the bars (k,2), longest first, filled up with 0."""
+    lengths = np.sort(lifetimes(bars))[::-1][:count]
+    return np.pad(lengths, (0, count - len(lengths)))
+
+
+def longest_bars(bars: np.ndarray, floor: float, at_least: int = 8) -> np.ndarray:
+    """Return the longest of `bars` (k,2), longest first: those above half the `floor`, at most MOST.
 
     Ties are ordered by birth, so equal diagrams give equal rows.
     """
     lengths = lifetimes(bars)
-    count = min(max(int((lengths > floor / 2).sum()), at_least), at_most)
+    count = min(max(int((lengths > floor / 2).sum()), at_least), MOST)
     return bars[np.lexsort((bars[:, 0], -lengths))[:count]]
 
 
 def bottlenecks(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> tuple[float, float, float]:
     """Return the bottleneck distance per dimension of two diagrams (finite bars)."""
-    return tuple(bottleneck(left, right) for left, right in zip(a, b, strict=True))
+    h0, h1, h2 = (bottleneck(left, right) for left, right in zip(a, b, strict=True))
+    return h0, h1, h2

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import gudhi
 import numpy as np
@@ -195,5 +194,5 @@ _PROBES: dict[str, Callable[[np.random.Generator], _Parts]] = {
     "T2": _handle,
     "T3": _spacing,
     "T4": _bridge,
-    "T4d": partial(_bridge, links=DENSE_CHAIN),
+    "T4d": lambda generator: _bridge(generator, DENSE_CHAIN),
 }
