@@ -77,9 +77,8 @@ def test_the_rule_takes_the_papers_decisions(shape):
 def test_more_bars_than_certified_are_a_warning():
     rungs = [rung(2048, 1, 0, 1), rung(4096, 1, 0, 2), rung(8192, 1, 0, 2)]
     warnings = decide(rungs, CLOSED).warnings
-    assert (
-        len(warnings) == 2 and "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
-    )
+    assert len(warnings) == 2
+    assert "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
     assert (
         "another sampling seed"
         in decide([rung(2048, 1, 0, 1, 1.05), rung(8192, 1, 0, 1, 2.0)], CLOSED).warnings[0]
@@ -127,20 +126,16 @@ def test_margins_are_those_of_the_bundles_own_samples():
 def test_the_page_holds_everything_itself():
     audit = audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)
     page = audit_page(audit)
-    assert (
-        audit.certificate.passed
-        and audit.certificate.kind == "disk"
-        and audit.decision.basis == "observation"
-    )
+    assert audit.certificate.passed
+    assert audit.certificate.kind == "disk"
+    assert audit.decision.basis == "observation"
     assert page.startswith("<!DOCTYPE html>") and "<b>name</b>" not in page
     assert "<title>Audit of bowl_wide</title>" in page, "the name, not the path it was given by"
     assert "PASS as a surface with boundary (1 boundary loop; not closed)" in page
     assert page.count("<button>copy</button>") == len(audit.commands) == 3
-    assert (
-        page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 3
-        and "<iframe" in page
-        and "Betti numbers, Z/2" in page
-    )
+    assert page.count("data:image/svg+xml;base64,") == page.count("data:image/png;base64,") == 3
+    assert "<iframe" in page
+    assert "Betti numbers, Z/2" in page
     assert not re.search(r"(src|href)=['\"]?https?:", page)
     assert page == audit_page(audit_mesh(find_mesh("bowl_wide"), "a <b>name</b>", **SMALL)), (
         "the same page again"
@@ -162,11 +157,9 @@ def test_a_mesh_with_nothing_measurable_gets_a_report_and_no_command(tmp_path, c
     assert f"paper_artifact train {tmp_path}/sheet.ply\n" in printed and "--condition" not in printed
     assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["audit.html", "audit.json"]
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
-    assert (
-        stored["decision"]["samples"] is None
-        and stored["bundle"] is None
-        and stored["certificate"]["verdict"] == "pass"
-    )
+    assert stored["decision"]["samples"] is None
+    assert stored["bundle"] is None
+    assert stored["certificate"]["verdict"] == "pass"
     assert "Nothing is measurable" in (tmp_path / "out" / "audit.html").read_text()
 
 
@@ -202,11 +195,9 @@ def test_a_failing_certificate_is_audited_by_what_is_seen():
     audit = audit_mesh(
         checked_mesh(*shapes.joined(shapes.tetrahedron(), shapes.tetrahedron(sign=-1)), "pinched"), **SMALL
     )
-    assert (
-        not audit.certificate.passed
-        and audit.decision.basis == "observation"
-        and "certificate fails" in " ".join(audit.decision.reasons)
-    )
+    assert not audit.certificate.passed
+    assert audit.decision.basis == "observation"
+    assert "certificate fails" in " ".join(audit.decision.reasons)
     assert isinstance(headline(audit), str) and "The certificate fails, so the first two" in audit_page(audit)
     assert audit.commands[:2] == (
         "python -m paper_artifact ingest pinched --out pinched_shell.ply",

@@ -58,9 +58,8 @@ def test_a_run_s_rows_are_its_record_s(tables, shape, condition):
     last = [dump["bottleneck"][dimension] for dump in record["dumps"][-results.TAIL_DUMPS :]]
     assert row["tail"] == pytest.approx(tails["bottleneck"][dimension], rel=1e-6)
     assert row["tail"] == pytest.approx(np.mean(last), rel=1e-6)
-    assert [row[f"count_h{d}"] for d in range(3)] == tails["counts"] and row["psnr"] == record["images"][
-        "psnr"
-    ]
+    assert [row[f"count_h{d}"] for d in range(3)] == tails["counts"]
+    assert row["psnr"] == record["images"]["psnr"]
     dumps = tables.dumps[(tables.dumps["run"] == row["run"]) & (tables.dumps["step"] > 0)]
     assert dumps["step"].tolist() == [dump["step"] for dump in record["dumps"]]
     np.testing.assert_array_equal(

@@ -132,11 +132,9 @@ def test_choice_of_notebooks(tmp_path):
         write_notebook(tmp_path / f"{name}.ipynb")
     names = lambda *only: [path.stem for path in notebook_files(tmp_path, only)]  # noqa: E731
     assert names() == ["01_a", "02_b", "02_bc"]
-    assert (
-        names("02_b") == ["02_b"]
-        and names("02") == ["02_b", "02_bc"]
-        and names("02_bc.ipynb", "01") == ["01_a", "02_bc"]
-    )
+    assert names("02_b") == ["02_b"]
+    assert names("02") == ["02_b", "02_bc"]
+    assert names("02_bc.ipynb", "01") == ["01_a", "02_bc"]
     with pytest.raises(InputError, match="no notebook is called '9'; there are 01_a"):
         notebook_files(tmp_path, ["9"])
     with pytest.raises(InputError, match="no notebooks in"):
@@ -165,10 +163,8 @@ def test_cleaned_removes_what_changes(tmp_path):
         papermill={"duration": 1}, execution={"iopub.status.busy": "now"}, tags=["keep"]
     )
     result = cleaned(notebook)
-    assert (
-        set(result.metadata) == {"kernelspec", "language_info"}
-        and "version" not in result.metadata.language_info
-    )
+    assert set(result.metadata) == {"kernelspec", "language_info"}
+    assert "version" not in result.metadata.language_info
     assert [cell.metadata for cell in result.cells] == [{}, {"tags": ["parameters"]}, {"tags": ["keep"]}]
     assert "papermill" in json.dumps(notebook), "the argument is left as it was"
     nbformat.validate(result)

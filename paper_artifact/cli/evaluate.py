@@ -75,7 +75,7 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
             images = {"images": _view_scores(soup, frame, scene, options.supersample)}
         if truth is None:
             result = _alone(soup, frame, scene, options) | asked | images
-            print(_table_alone(result))
+            print(_table(result))
             print(next_command("solidify", options.surface, "--scene", options.scene, "--out", "mesh.ply"))
             return 0, result
         corners = frame.outward(soup.vertices.numpy())
@@ -94,43 +94,33 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
 
 
 def _table(result: dict) -> str:
-    """Return what the verb prints of a soup or mesh beside a ground truth."""
-    rows = [
-        (
-            more,
-            f"{result['bottleneck'][dimension]:.5f}",
-            result["counts"][dimension],
-            result["target_counts"][dimension],
-            "<- discriminating" if dimension == result["dimension"] else "",
+    """Return what the verb prints of a soup or mesh, beside its ground truth where there is one."""
+    beside = f"against {result['target']}" if "target" in result else "no ground truth"
+    unit = "target's diagonal" if "target" in result else "SfM cloud's diagonal"
+    heads: tuple[str, ...] = ("class", "bottleneck", "significant bars", "of the target", "")
+    rows: list[tuple] = []
+    for dimension, (_, more) in enumerate(FEATURES):
+        count = result["counts"][dimension]
+        if "target" in result:
+            judged = "<- discriminating" if dimension == result["dimension"] else ""
+            distance = f"{result['bottleneck'][dimension]:.5f}"
+            rows.append((more, distance, count, result["target_counts"][dimension], judged))
+        else:
+            margins = result["margins"][dimension][: max(count + 2, 3)]
+            rows.append((more, count, "  ".join(f"{margin:.2f}" for margin in margins)))
+    if "target" not in result:
+        heads = ("class", "significant bars", "the longest bars / floor (a bar counts above 1)")
+    lines = [
+        f"{result['surface']}, {beside}, {result['samples']} samples, seed {result['seed']}",
+        to_string(heads, rows),
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the {unit}; finite bars only: there is "
+        "one component more than bars)",
+    ]
+    if "target" in result:
+        lines.append(
+            f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; "
+            f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %"
         )
-        for dimension, (_, more) in enumerate(FEATURES)
-    ]
-    heads = ("class", "bottleneck", "significant bars", "of the target", "")
-    lines = [
-        f"{result['surface']} against {result['target']}, {result['samples']} samples a side, "
-        f"seed {result['seed']}",
-        to_string(heads, rows),
-        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the target's diagonal; finite bars only: "
-        "there is one component more than bars)",
-        f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; "
-        f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %",
-    ]
-    return "\n".join([*lines, *_image_lines(result)])
-
-
-def _table_alone(result: dict) -> str:
-    """Return what the verb prints of a soup without a ground truth."""
-    rows = [
-        (more, count, "  ".join(f"{margin:.2f}" for margin in margins[: max(count + 2, 3)]))
-        for (_, more), count, margins in zip(FEATURES, result["counts"], result["margins"], strict=True)
-    ]
-    heads = ("class", "significant bars", "the longest bars / floor (a bar counts above 1)")
-    lines = [
-        f"{result['surface']}, no ground truth, {result['samples']} samples, seed {result['seed']}",
-        to_string(heads, rows),
-        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the SfM cloud's diagonal; finite bars "
-        "only: there is one component more than bars)",
-    ]
     return "\n".join([*lines, *_image_lines(result)])
 
 

@@ -1,5 +1,5 @@
-"""Pictures: surfaces in one neutral material, drawn by the rasterizer (`raster.visibility`), and soups in their
-colours, from cameras around them or of a scene; as PNG files.
+"""Pictures: surfaces in one neutral material, drawn by the rasterizer (`raster.visibility`), and soups in
+their colours, from cameras around them or of a scene; as PNG files.
 
 Flat Lambert shading with one normal per face, turned towards the camera: a soup's triangles have no common
 winding.
