@@ -23,7 +23,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start th
 import pandas as pd
 
 from paper_artifact.files import write_text
-from paper_artifact.record.environment import host
 from paper_artifact.results import MEASURED
 
 
@@ -61,11 +60,6 @@ def in_own_process(work: Callable, *arguments: Any) -> Any:
     """Return work(*arguments), computed in a new process: for peak memory. work: a function of a module."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(work, *arguments).result()
-
-
-def cpu_name() -> str:
-    """Return the name of this machine's CPU, as the records write it."""
-    return host()["cpu"]
 
 
 def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:

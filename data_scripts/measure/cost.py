@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
-from common import cpu_name, in_turn, options, write
+from common import in_turn, options, write
 from scipy.spatial import Delaunay
 
 from paper_artifact.alpha.persistence import fast_persistence, gudhi_persistence
 from paper_artifact.randomness import stream
-from paper_artifact.record.environment import packages
+from paper_artifact.record.environment import cpu_model, packages
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import surface
 
@@ -80,5 +80,5 @@ def row_of(cloud: str, size: int, turns: int = TURNS) -> dict:
 if __name__ == "__main__":
     folder, versions = options(__doc__).out, packages()
     rows = [row_of(cloud, size) for cloud in STUDY_CLOUDS for size in SIZES]
-    machine = {"cpu": cpu_name(), "gudhi": versions["gudhi"], "numba": versions["numba"]}
+    machine = {"cpu": cpu_model(), "gudhi": versions["gudhi"], "numba": versions["numba"]}
     write(pd.DataFrame(rows).assign(repetitions=TURNS, **machine), folder / "cost.csv")

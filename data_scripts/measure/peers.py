@@ -24,14 +24,14 @@ from importlib import metadata
 import numpy as np
 import pandas as pd
 import torch
-from common import Clock, cpu_name, options, write
+from common import Clock, options, write
 from cost import CLOUDS, points_of
 from torch import Tensor
 
 import paper_artifact
 from paper_artifact.alpha.diagrams import alpha_diagrams
 from paper_artifact.raster.threads import one_torch_thread
-from paper_artifact.record.environment import packages
+from paper_artifact.record.environment import cpu_model, packages
 
 OURS = "paper_artifact"
 LONGEST = 10  # bars that are compared
@@ -213,7 +213,7 @@ def collected(peers: Sequence[Peer], rows: Callable[[list[str]], Iterable[dict]]
     notes: list[str] = []
     found = [row | {"load": round(os.getloadavg()[0], 1)} for row in rows(notes)]
     versions = {"python": platform.python_version(), "torch": torch.__version__, "gudhi": packages()["gudhi"]}
-    return pd.DataFrame(found).assign(cpu=cpu_name(), **versions, not_measured="; ".join(notes))
+    return pd.DataFrame(found).assign(cpu=cpu_model(), **versions, not_measured="; ".join(notes))
 
 
 if __name__ == "__main__":

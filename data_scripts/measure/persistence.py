@@ -16,12 +16,13 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import torch
-from common import cpu_name, in_turn, options, write
+from common import in_turn, options, write
 from cost import CLOUDS, points_of
 from peers import PEERS, bar_difference, why_missing
 
 from paper_artifact.alpha import alpha_persistence
 from paper_artifact.alpha.persistence import gudhi_persistence
+from paper_artifact.record.environment import cpu_model
 
 
 def libraries(points: np.ndarray) -> dict[str, Callable]:
@@ -48,7 +49,7 @@ if __name__ == "__main__":
             for library, clock in in_turn(calls, given.turns).items():
                 row = {"cloud": name, "M": size, "library": library, "ms": 1e3 * clock["cpu"].median()}
                 rows.append(row | {"difference": bar_difference(bars["ours"], bars[library])})
-    table = pd.DataFrame(rows).assign(cpu=cpu_name())
+    table = pd.DataFrame(rows).assign(cpu=cpu_model())
     ours = table["ms"].where(table["library"] == "ours").groupby([table["cloud"], table["M"]])
     table["ratio"] = table["ms"] / ours.transform("max")
     print(table.pivot(index=["cloud", "M"], columns="library", values="ratio").round(1).to_string())

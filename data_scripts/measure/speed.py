@@ -19,14 +19,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import torch
-from common import cpu_name, in_turn, options, write
+from common import in_turn, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.pipeline import make_run_term, prepare_scene
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread, set_thread_count
-from paper_artifact.record.environment import packages
+from paper_artifact.record.environment import cpu_model, packages
 from paper_artifact.scene.load import Scene
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.adam import soup_optimiser
@@ -129,7 +129,7 @@ def measured(folder: Path) -> pd.DataFrame:
         row |= {"condition": condition, "steps": config.steps, "repetitions": RUNS}
         milliseconds = 1e3 * clock.median() / config.steps
         rows.append(row | {"ms": milliseconds["cpu"], "wall_ms": milliseconds["wall"]})
-    machine = {"cpu": cpu_name(), "load": round(os.getloadavg()[0]), "numba": packages()["numba"]}
+    machine = {"cpu": cpu_model(), "load": round(os.getloadavg()[0]), "numba": packages()["numba"]}
     return pd.DataFrame(rows).assign(**machine)
 
 

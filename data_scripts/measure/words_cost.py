@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import pandas as pd
 import torch
-from common import Clock, cpu_name, options, write
+from common import Clock, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.raster.threads import one_torch_thread
+from paper_artifact.record.environment import cpu_model
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.state import Soup, load_soup
 from paper_artifact.topology.bundle import build_from_mesh
@@ -52,7 +53,7 @@ def timed(term: TopologyTerm, soup: Soup) -> dict[str, float]:
     plan = term.log[-1]["dimensions"].values()
     pulled = sum(each["matched"] + each["recruited"] + each["diagonal"] for each in plan)
     medians = (1e3 * pd.Series(refreshes[1:]).median(), 1e3 * pd.Series(steps[BETWEEN:]).median())
-    return {"refresh_ms": medians[0], "step_ms": medians[1], "pulled": pulled, "cpu": cpu_name()}
+    return {"refresh_ms": medians[0], "step_ms": medians[1], "pulled": pulled, "cpu": cpu_model()}
 
 
 def measured() -> pd.DataFrame:
