@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paper_artifact.arithmetic import norm
+
 FARTHEST = 16.0  # radii from the origin to a scene's centre, beyond which it is moved there
 LARGEST = 2.0**10  # radius, and its inverse the smallest, beyond which a scene is scaled to .5 … 1
 
@@ -48,7 +50,7 @@ SAME = Frame()
 
 def frame_for(centre: np.ndarray, radius: float) -> Frame:
     """Return the frame for a scene around `centre` (3,) of a `radius` > 0, user's units."""
-    far = float(np.linalg.norm(centre)) > FARTHEST * radius
+    far = float(norm(centre)) > FARTHEST * radius
     x, y, z = (float(value) for value in centre) if far else (0.0, 0.0, 0.0)
     exponent = 0 if 1 / LARGEST <= radius <= LARGEST else math.frexp(radius)[1]
     return Frame((x, y, z), exponent)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError
 from paper_artifact.files import check_archive
 from paper_artifact.formats.gltf import read_gltf
@@ -46,7 +47,7 @@ class Mesh:
     @property
     def diagonal(self) -> float:
         """Length of the bounding-box diagonal, world units: the D that reported lengths are divided by."""
-        return float(np.linalg.norm(self.vertices.max(axis=0) - self.vertices.min(axis=0)))
+        return float(norm(self.vertices.max(axis=0) - self.vertices.min(axis=0)))
 
     @property
     def centre(self) -> np.ndarray:
@@ -56,7 +57,7 @@ class Mesh:
     @property
     def radius(self) -> float:
         """Radius of the bounding sphere around `centre`, world units; 1 for the unit sphere."""
-        return float(np.linalg.norm(self.vertices - self.centre, axis=1).max())
+        return float(norm(self.vertices - self.centre).max())
 
     def framed(self, frame: Frame) -> Mesh:
         """Return the mesh in the coordinates of a run with this frame; itself where they are equal."""
@@ -111,7 +112,7 @@ def checked_mesh(
     kept_vertices, kept_faces = weld(vertices, faces) if welded else (vertices, faces)
     extent = np.ptp(kept_vertices, axis=0) if len(kept_faces) else np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
-        diagonal = float(np.linalg.norm(extent))
+        diagonal = float(norm(extent))
         area = float(face_areas(kept_vertices, kept_faces).sum()) if len(kept_faces) else 0.0
     if not (np.isfinite(diagonal) and np.isfinite(area)):
         raise InputError(f"{name} has coordinates too large for double precision areas; scale it down")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from paper_artifact.arithmetic import dot, norm
 from paper_artifact.errors import InputError
 
 
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the areas (F,) float64 of triangles `faces` (F,3), in squared units of `vertices` (V,3)."""
     corner = np.asarray(vertices, dtype=np.float64)[faces]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    return norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])) / 2
 
 
 def sample_surface(
@@ -51,7 +52,7 @@ def sample_surface(
     face = np.minimum(face, np.flatnonzero(mass)[-1])
     root = np.sqrt(u[1])
     barycentrics = np.stack([1 - root, root * (1 - u[2]), root * u[2]], axis=1)
-    points = np.einsum("nk,nkc->nc", barycentrics, vertices[faces[face]])
+    points = dot(barycentrics[:, None], np.swapaxes(vertices[faces[face]], 1, 2))
     return points, face.astype(np.int64), barycentrics
 
 

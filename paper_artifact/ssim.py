@@ -6,9 +6,10 @@ image only. That is what pytorch-msssim computes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
+
+from paper_artifact.arithmetic import exp
 
 WINDOW = 11  # side of the window, pixels
 RADIUS = WINDOW // 2
@@ -18,7 +19,7 @@ C1, C2 = 0.01**2, 0.03**2  # (K L)² of the paper, at data range L = 1
 
 def gaussian_window() -> list[float]:
     """Return the window's WINDOW weights along one axis, from the first to the last pixel; their sum is 1."""
-    weights = [math.exp(-((place - RADIUS) ** 2) / (2 * SIGMA**2)) for place in range(WINDOW)]
+    weights = exp([-((place - RADIUS) ** 2) / (2 * SIGMA**2) for place in range(WINDOW)]).tolist()
     return [weight / sum(weights) for weight in weights]
 
 

@@ -119,7 +119,7 @@ def outsiders(path: Path) -> set[str]:
 ALONE = {
     "alpha": ({"errors", "kernel_cache"}, "alpha_persistence(points)[2].diagram"),
     "topology": (
-        {"alpha", "config", "errors", "files", "randomness", "sampling"},
+        {"alpha", "arithmetic", "config", "errors", "files", "randomness", "sampling"},
         "TopologyLoss(build_bundle(points, 3.4))(torch.tensor(points, requires_grad=True)).backward()",
     ),
 }

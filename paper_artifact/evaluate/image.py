@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import correlate1d
 
+from paper_artifact.arithmetic import log
 from paper_artifact.errors import InputError
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup, render_views
@@ -22,7 +23,7 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
     Raises InputError when the shapes differ.
     """
     image, truth = _pair(image, truth)
-    return float(-10 * np.log10(max(np.mean((image - truth) ** 2), LOWEST_MSE)))
+    return float(-10 / log(10.0) * log(max(np.mean((image - truth) ** 2), LOWEST_MSE)))
 
 
 def ssim(image: np.ndarray, truth: np.ndarray) -> float:

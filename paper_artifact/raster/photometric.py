@@ -36,14 +36,12 @@ from paper_artifact.raster.lanes import (
     store_part,
     total,
 )
+from paper_artifact.ssim import gaussian_window
 
 TAPS, RADIUS = 11, 5
 L1_WEIGHT, SSIM_WEIGHT = 0.8, 0.2
 _C1, _C2 = 0.01**2, 0.03**2
-_offsets = np.arange(TAPS) - RADIUS
-WINDOW = (np.exp(-(_offsets**2) / (2 * 1.5**2)) / np.exp(-(_offsets**2) / (2 * 1.5**2)).sum()).astype(
-    np.float32
-)
+WINDOW = np.array(gaussian_window(), np.float32)
 _K0, _K1, _K2, _K3, _K4, _K5 = (float(WINDOW[i]) for i in range(6))
 # A ring holds the last twelve rows (two rows of windows see twelve) and is read as twelve neighbours: row r
 # is kept twice, in slots r % 12 and r % 12 + 12. Its layout is (blocks of 16 columns, slots, 16).

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from paper_artifact import arithmetic
 from paper_artifact.raster import edges, photometric, shading, visibility
 from paper_artifact.raster.arrays import SoupArrays
 from paper_artifact.raster.lanes import WIDTH
@@ -36,8 +37,8 @@ def make_camera(world_to_clip: np.ndarray) -> ViewCamera:
     ndc_y, 1).
     """
     matrix = np.ascontiguousarray(world_to_clip, np.float32)
-    inverse = -np.linalg.inv(matrix[[0, 1, 3], :3].astype(np.float64))
-    return ViewCamera(matrix, np.ascontiguousarray(inverse.T[[2, 0, 1]], np.float32))
+    adjugate, determinant = arithmetic.adjugate(matrix[[0, 1, 3], :3].astype(np.float64))
+    return ViewCamera(matrix, np.ascontiguousarray((adjugate.T / -determinant)[[2, 0, 1]], np.float32))
 
 
 def to_clip(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:

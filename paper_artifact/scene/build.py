@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from paper_artifact import __version__
+from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_json, write_npz
 from paper_artifact.frame import frame_for
@@ -33,7 +33,7 @@ from paper_artifact.scene.ground_truth import (
 )
 from paper_artifact.scene.load import EVERY
 
-SCENE_FORMAT = 1  # raised whenever the same configuration would give other files
+SCENE_FORMAT = 2  # raised whenever the same configuration would give other files
 SEED = 0  # of everything here: the runs of all seeds see one scene
 GAPS = 3  # places in which the cloud is cut out
 OUTLIER_BOX = 1.5  # outliers lie in the cloud's box, that much larger
@@ -58,7 +58,7 @@ def noisy_image(image: np.ndarray, perturbation: Perturbation, view: int) -> np.
     """Return `image` (H,W,3) in [0,1] with Gaussian noise, clipped to [0,1]; view: its place."""
     if perturbation.image_noise == 0:
         return image
-    noise = stream(SEED, "image noise", view).standard_normal(image.shape)
+    noise = arithmetic.normals(stream(SEED, "image noise", view), *image.shape)
     return np.clip(image + perturbation.image_noise * noise, 0.0, 1.0)
 
 
@@ -70,8 +70,8 @@ def moved_camera(camera: Camera, perturbation: Perturbation, diagonal: float, vi
     """
     if perturbation.camera_noise == 0:
         return camera
-    step = perturbation.camera_noise * diagonal * stream(SEED, "camera noise", view).standard_normal(3)
-    x, y, z = (np.asarray(camera.translation) - camera.rotation @ step).tolist()
+    step = perturbation.camera_noise * diagonal * arithmetic.normals(stream(SEED, "camera noise", view), 3)
+    x, y, z = (np.asarray(camera.translation) - arithmetic.product(camera.rotation, step)).tolist()
     return replace(camera, translation=(x, y, z))
 
 
@@ -87,12 +87,12 @@ def perturbed_cloud(
         total = round(perturbation.cloud_missing * len(positions))
         for count in np.diff(np.linspace(0, total, GAPS + 1).round().astype(int)):
             centre = positions[draws.integers(len(positions))]
-            order = np.argsort(np.linalg.norm(positions - centre, axis=1), kind="stable")
+            order = np.argsort(arithmetic.norm(positions - centre), kind="stable")
             kept = np.sort(order[count:])
             positions, colours = positions[kept], colours[kept]
     low, high = positions.min(axis=0), positions.max(axis=0)
     if perturbation.cloud_noise > 0:
-        noise = stream(SEED, "cloud noise").standard_normal(positions.shape)
+        noise = arithmetic.normals(stream(SEED, "cloud noise"), *positions.shape)
         positions = positions + perturbation.cloud_noise * diagonal * noise
     if perturbation.cloud_outliers > 0:
         draws = stream(SEED, "cloud outliers")
@@ -114,7 +114,8 @@ def surrounding(camera: Camera) -> np.ndarray:
         ],
         axis=-1,
     )
-    directions = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).reshape(-1, 3) @ camera.rotation
+    directions = (rays / arithmetic.norm(rays)[..., None]).reshape(-1, 3)
+    directions = arithmetic.product(directions, camera.rotation)
     return solid_texture(directions, np.zeros(3), 1.0, PATTERN).reshape(*rows.shape, 3)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from paper_artifact import arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh
@@ -36,12 +36,12 @@ class Camera:
     @property
     def rotation(self) -> np.ndarray:
         """The rotation matrix world → camera, (3,3) float64."""
-        return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        return arithmetic.quaternion_matrix(np.array(self.quaternion))
 
     @property
     def position(self) -> np.ndarray:
         """The camera's centre in world units, (3,) float64."""
-        return -self.rotation.T @ np.asarray(self.translation)
+        return -arithmetic.product(self.rotation.T, np.asarray(self.translation))
 
 
 def framed(camera: Camera, frame: Frame) -> Camera:
@@ -49,7 +49,7 @@ def framed(camera: Camera, frame: Frame) -> Camera:
     equal."""
     if frame == SAME:
         return camera
-    moved = np.asarray(camera.translation) + camera.rotation @ np.asarray(frame.offset)
+    moved = np.asarray(camera.translation) + arithmetic.product(camera.rotation, np.asarray(frame.offset))
     x, y, z = np.ldexp(moved, -frame.exponent).tolist()
     return replace(camera, translation=(x, y, z))
 
@@ -59,7 +59,7 @@ def unframed(camera: Camera, frame: Frame) -> Camera:
     if frame == SAME:
         return camera
     scaled = np.ldexp(np.asarray(camera.translation), frame.exponent)
-    x, y, z = (scaled - camera.rotation @ np.asarray(frame.offset)).tolist()
+    x, y, z = (scaled - arithmetic.product(camera.rotation, np.asarray(frame.offset))).tolist()
     return replace(camera, translation=(x, y, z))
 
 
@@ -81,7 +81,7 @@ def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
     view = np.eye(4)
     view[:3, :3] = camera.rotation
     view[:3, 3] = camera.translation
-    return projection @ view
+    return arithmetic.product(projection, view)
 
 
 def look_at(
@@ -93,18 +93,18 @@ def look_at(
     undefined.
     """
     forward = np.asarray(target, dtype=np.float64) - position
-    distance = np.linalg.norm(forward)
+    distance = arithmetic.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) <= 1e-9 * distance:
+    if arithmetic.norm(right) <= 1e-9 * distance:
         raise InputError(
             "a camera may not look along the z axis: its up direction is undefined; move it aside"
         )
     forward = forward / distance
-    right = right / np.linalg.norm(right)
+    right = right / arithmetic.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    focal = size / 2 / np.tan(np.radians(field_of_view) / 2)
-    w, x, y, z = map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))
-    across, down, ahead = map(float, -rotation @ position)
+    half = field_of_view * np.pi / 360
+    focal = size / 2 * arithmetic.cos(half) / arithmetic.sin(half)
+    across, down, ahead = (-arithmetic.product(rotation, position)).tolist()
     return Camera(
         width=size,
         height=size,
@@ -112,7 +112,7 @@ def look_at(
         focal_y=float(focal),
         centre_x=size / 2,
         centre_y=size / 2,
-        quaternion=(w, x, y, z),
+        quaternion=arithmetic.matrix_quaternion(rotation),
         translation=(across, down, ahead),
     )
 
@@ -127,7 +127,8 @@ def fibonacci_directions(count: int) -> np.ndarray:
     index = np.arange(count)
     z = 1 - (2 * index + 1) / count
     ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(GOLDEN_ANGLE * index), ring * np.sin(GOLDEN_ANGLE * index), z], axis=1)
+    azimuth = GOLDEN_ANGLE * index
+    return np.stack([ring * arithmetic.cos(azimuth), ring * arithmetic.sin(azimuth), z], axis=1)
 
 
 def fibonacci_cameras(mesh: Mesh, count: int, size: int) -> tuple[Camera, ...]:

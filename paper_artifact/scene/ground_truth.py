@@ -12,7 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from paper_artifact import arithmetic
 from paper_artifact.errors import InputError
+from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.raster.view import rasterize_opaque
@@ -50,7 +52,7 @@ def render_ground_truth(
     over boxes of supersample².
     """
     matrix = world_to_clip(camera, NEAR * mesh.radius, FAR * mesh.radius)
-    clip = mesh.vertices @ matrix[:, :3].T + matrix[:, 3]
+    clip = arithmetic.product(mesh.vertices, matrix[:, :3].T) + matrix[:, 3]
     height, width = camera.height * supersample, camera.width * supersample
     triangle, b0, b1, _ = rasterize_opaque(
         clip.astype(np.float32), mesh.faces.astype(np.int32), height, width
@@ -76,13 +78,39 @@ def solid_texture(
     `centre` (3,) and `radius` are the scene's bounding sphere in world units, so that the pattern follows its
     scale; `frequency` multiplies every wave number. Deterministic, independent of light and view.
     """
-    vectors, phases, amplitudes = _waves()
     local = ((np.asarray(positions) - centre) * (frequency / radius)).astype(np.float32)
-    colours = np.empty(local.shape, dtype=np.float32)
+    colours = np.empty(local.shape[::-1], dtype=np.float32)
+    _folded_waves(np.ascontiguousarray(local.T), *_waves(), colours)
+    return np.float32((DARKEST + BRIGHTEST) / 2) + np.float32((BRIGHTEST - DARKEST) / 2) * colours.T
+
+
+@njit(forceinline=True)
+def _sine(x):
+    # Of a float32: x less a multiple of π in three parts (exact up to 200,000), then a polynomial.
+    n = np.floor(x * np.float32(1 / np.pi) + np.float32(0.5))
+    r = ((x - n * np.float32(3.140625)) - n * np.float32(9.67502593994140625e-4)) - n * np.float32(
+        1.5099579909783764e-7
+    )
+    z = r * r
+    p = np.float32(2.6083159809786593e-06) * z - np.float32(1.9810690719168633e-04)
+    p = (p * z + np.float32(8.333078585565090e-03)) * z - np.float32(1.6666665971279144e-01)
+    value = r + r * (z * p)
+    return -value if np.int32(n) & 1 else value
+
+
+@njit(cache=True, nogil=True)
+def _folded_waves(local, vectors, phases, amplitudes, colours):
+    # colours (3,n): sin(π/2 · Σ amplitude · sin(vector · local + phase) + first phase); local (3,n); float32.
+    x, y, z = local
+    fold = np.float32(np.pi / 2)
     for channel in range(3):
-        waves = np.sin(local @ vectors[channel].T + phases[channel])
-        colours[:, channel] = np.sin(np.float32(np.pi / 2) * (waves @ amplitudes) + phases[channel][0])
-    return np.float32((DARKEST + BRIGHTEST) / 2) + np.float32((BRIGHTEST - DARKEST) / 2) * colours
+        sums = np.zeros(len(x), np.float32)
+        for k in range(len(amplitudes)):
+            a, b, c = vectors[channel, k]
+            for i in range(len(x)):
+                sums[i] += amplitudes[k] * _sine(a * x[i] + b * y[i] + c * z[i] + phases[channel, k])
+        for i in range(len(x)):
+            colours[channel, i] = _sine(fold * sums[i] + phases[channel, 0])
 
 
 def mesh_texture(positions: np.ndarray, mesh: Mesh, frequency: float = 1.0) -> np.ndarray:
@@ -95,8 +123,9 @@ def _waves() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return wave vectors (3,k,3), phases (3,k) and amplitudes (k,), float32: the same on every machine."""
     generator = stream(0, "solid texture")
     count = WAVES_PER_OCTAVE * len(OCTAVES)
+    # numpy's own normals: of these 81, none is so large (3.65) that it takes a logarithm of the C library.
     directions = generator.standard_normal((3, count, 3))
-    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    directions /= arithmetic.norm(directions)[..., None]
     numbers = np.repeat([number for number, _ in OCTAVES], WAVES_PER_OCTAVE)
     amplitudes = np.repeat([amplitude for _, amplitude in OCTAVES], WAVES_PER_OCTAVE) / np.sqrt(
         WAVES_PER_OCTAVE

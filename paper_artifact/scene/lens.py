@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
+from paper_artifact.arithmetic import exp, log
 from paper_artifact.scene.cameras import Camera
 
 DISTORTION = ("k1", "k2", "k3", "p1", "p2")
@@ -34,14 +35,14 @@ def least_zoom(lens: Camera, distortion: tuple[float, ...]) -> float | None:
     side = np.linspace(0, 1, STEPS + 1)
     u = np.concatenate([side, side, 0 * side, 0 * side + 1]) * lens.width
     v = np.concatenate([0 * side, 0 * side + 1, side, side]) * lens.height
-    for zoom in np.geomspace(1, MOST_ZOOM, 200).tolist():
+    for zoom in exp(log(MOST_ZOOM) * np.arange(200) / 199).tolist():
         left, top = _source(lens, distortion, zoom, u, v)
         if min(left.min(), top.min()) < 0 or left.max() > lens.width or top.max() > lens.height:
             continue
         across = lens.centre_x + (u - lens.centre_x)[:, None] * side
         down = lens.centre_y + (v - lens.centre_y)[:, None] * side
         left, top = _source(lens, distortion, zoom, across, down)
-        outward = np.diff(np.hypot(left - lens.centre_x, top - lens.centre_y), axis=1)
+        outward = np.diff((left - lens.centre_x) ** 2 + (top - lens.centre_y) ** 2, axis=1)
         return zoom if (outward >= 0).all() else None
     return None
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from paper_artifact import arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
@@ -205,7 +206,7 @@ def _cloud_ball(positions: np.ndarray) -> tuple[np.ndarray, float]:
     World units.
     """
     low, high = np.percentile(positions, [1, 99], axis=0)
-    radius = float(np.linalg.norm(high - low)) / 2
+    radius = float(arithmetic.norm(high - low)) / 2
     if radius <= 0:
         raise InputError("the SfM cloud is a single point; export the COLMAP model again")
     return (low + high) / 2, radius

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from paper_artifact.arithmetic import cos, norm, sin
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
@@ -56,7 +57,7 @@ def cylinder() -> Mesh:
     """
     segments = 96
     angle = 2 * np.pi * np.arange(segments) / segments
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ring = np.stack([cos(angle), sin(angle)], axis=1)
     vertices = np.concatenate(
         [np.column_stack([ring, np.full(segments, z)]) for z in (-1.0, 1.0)]
         + [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]
@@ -113,11 +114,11 @@ def double_torus() -> Mesh:
     around, tube = 160, 36  # cells along a ring, along half a tube
     # Outer half in uniform steps of t, theta = pi/2·cos(t): dense at the crease's two tips, where phi0 grows
     # like sqrt(pi/2 - theta). Inner half in uniform steps of theta.
-    outer = np.pi / 2 * np.cos(np.pi * np.arange(tube + 1) / tube)
+    outer = np.pi / 2 * cos(np.pi * np.arange(tube + 1) / tube)
     inner = -np.pi / 2 - np.pi * np.arange(1, tube) / tube
     theta = np.concatenate([outer, inner])
     start = np.zeros(len(theta))
-    start[1:tube] = np.arccos(1 / (1 + DOUBLE_TORUS_TUBE * np.cos(outer[1:-1])))
+    start[1:tube] = _arccos(1 / (1 + DOUBLE_TORUS_TUBE * cos(outer[1:-1])))
     fraction = np.arange(around + 1) / around
     phi = start[None, :] + (2 * np.pi - 2 * start[None, :]) * fraction[:, None]
     points = _torus_points(phi, np.broadcast_to(theta, phi.shape), DOUBLE_TORUS_TUBE)
@@ -150,16 +151,28 @@ def bowl(name: str) -> Mesh:
 
 
 def _icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
-    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64)
+    ball = trimesh.creation.icosahedron()
+    vertices, faces = np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64)
+    for _ in range(subdivisions):
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+        vertices = vertices / norm(vertices)[:, None]
+    return vertices, faces.astype(np.int64)
+
+
+def _arccos(x: np.ndarray) -> np.ndarray:
+    """Return the angles (n,) in (0, π/2] of cosines (n,) in [0, 1), by Newton's steps."""
+    angle = np.sqrt(2 * (1 - x))
+    for _ in range(6):
+        angle = angle + (cos(angle) - x) / sin(angle)
+    return angle
 
 
 def _torus_points(phi: np.ndarray, theta: np.ndarray, tube: float) -> np.ndarray:
     """Return points (..., 3) at ring angle phi and tube angle theta (radians) of a torus of radius 1 around
     z.
     """
-    ring = 1 + tube * np.cos(theta)
-    return np.stack([ring * np.cos(phi), ring * np.sin(phi), tube * np.sin(theta)], axis=-1)
+    ring = 1 + tube * cos(theta)
+    return np.stack([ring * cos(phi), ring * sin(phi), tube * sin(theta)], axis=-1)
 
 
 def _grid_faces(index: np.ndarray, wrap_rows: bool) -> np.ndarray:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from paper_artifact import arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
@@ -40,8 +41,8 @@ class Subject:
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Return for points (…,3) whether each belongs to the subject, (…) bool."""
-        near = np.linalg.norm(points - self.centre, axis=-1) <= self.radius
-        return near & (points @ self.up >= self.lowest)
+        near = arithmetic.norm(points - self.centre) <= self.radius
+        return near & (arithmetic.product(points, self.up) >= self.lowest)
 
 
 def subject_of_scene(scene: Path | str, radius: float = RADIUS, ground: float = GROUND) -> Subject:
@@ -68,12 +69,10 @@ def subject_of(
         )
     places = np.array([camera.position for camera in cameras])
     axes = np.array([camera.rotation[2] for camera in cameras])
-    # The point with the least sum of squared distances to the axes: Σ (I - a aᵀ)(x - p) = 0.
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    if np.linalg.cond(across.sum(0)) > 1e6:
+    centre = _common_point(places, axes)
+    if centre is None:
         raise InputError("the cameras look along parallel axes, so at no common point; leave out --scene")
-    centre = np.linalg.solve(across.sum(0), (across @ places[:, :, None]).sum(0)[:, 0])
-    depth = np.einsum("ij,ij->i", axes, centre - places)
+    depth = arithmetic.dot(axes, centre - places)
     if (depth <= 0).mean() > 0.5:
         raise InputError("most cameras look away from each other, so at no common point; leave out --scene")
     width = np.mean(
@@ -81,12 +80,24 @@ def subject_of(
     )
     up, lowest = np.array([0.0, 0.0, 1.0]), -np.inf
     if ground > 0:
-        near = cloud[np.linalg.norm(cloud - centre, axis=1) <= width]
+        near = cloud[arithmetic.norm(cloud - centre) <= width]
         mean_up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
         plane = _ground(near.astype(np.float64), PLANE * width, places.mean(0), mean_up)
         if plane is not None:
             up, lowest = plane[0], plane[1] + ground * width
     return Subject(centre, float(radius * width), up, float(lowest))
+
+
+def _common_point(places: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
+    """Return the point (3,) with the least sum of squared distances to the lines through `places` (n,3) along
+    unit `axes` (n,3), Σ (I - a aᵀ)(x - p) = 0; None where they are parallel."""
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    system = across.sum(0)
+    spread = arithmetic.symmetric_eigen(system[None])[0][0]
+    if spread[2] > 1e6 * spread[0]:
+        return None
+    adjugate, determinant = arithmetic.adjugate(system)
+    return arithmetic.product(adjugate, arithmetic.dot(across, places[:, None]).sum(0)) / determinant
 
 
 def _ground(
@@ -106,25 +117,26 @@ def _ground(
     random = stream(0, "ground plane")
     triples = points[random.integers(0, len(points), (DRAWS, 3))]
     best, most = None, ON * len(points)
-    known_up = np.linalg.norm(mean_up) > 0.5
+    tilted = TILT * arithmetic.norm(mean_up) if arithmetic.norm(mean_up) > 0.5 else 0.0
     for first, second, third in triples:
         normal = np.cross(second - first, third - first)
         if not normal.any():
             continue
-        normal = normal / np.linalg.norm(normal)
-        normal = normal if normal @ (above - first) > 0 else -normal
-        if known_up and abs(normal @ mean_up) < TILT * np.linalg.norm(mean_up):
+        normal = normal / arithmetic.norm(normal)
+        normal = normal if arithmetic.dot(normal, above - first) > 0 else -normal
+        if abs(arithmetic.dot(normal, mean_up)) < tilted:
             continue
-        height = points @ normal - normal @ first
+        height = arithmetic.product(points, normal) - arithmetic.dot(normal, first)
         on = np.abs(height) <= near
         if on.sum() > most and (height < -2 * near).mean() <= BELOW:
             best, most = on, on.sum()
     if best is None:
         return None
     on = points[best]
-    normal = np.linalg.svd(on - on.mean(0), full_matrices=False)[2][2]
-    normal = normal if normal @ (above - on.mean(0)) > 0 else -normal
-    return normal, float(normal @ on.mean(0))
+    middle = on.mean(0)
+    normal = arithmetic.symmetric_eigen(arithmetic.spreads((on - middle)[None]))[1][0, 0]
+    normal = normal if arithmetic.dot(normal, above - middle) > 0 else -normal
+    return normal, float(arithmetic.dot(normal, middle))
 
 
 def hull_cloud(
@@ -168,15 +180,13 @@ def view_box(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
     """
     axes = np.stack([camera.rotation[2] for camera in cameras])
     positions = np.stack([camera.position for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    system = across.sum(0)
-    if np.linalg.cond(system) > 1e6:
+    centre = _common_point(positions, axes)
+    if centre is None:
         raise InputError(
             "the cameras look along one direction, which leaves depth open; use views from around"
         )
-    centre = np.linalg.solve(system, (across @ positions[:, :, None]).sum(0))[:, 0]
     reach = [
-        np.linalg.norm(centre - position)
+        arithmetic.norm(centre - position)
         * max(camera.width / camera.focal_x, camera.height / camera.focal_y)
         / 2
         for camera, position in zip(cameras, positions, strict=True)
@@ -201,7 +211,7 @@ def _carved(
     left = np.arange(len(points))
     shown = np.zeros(len(points), np.int64)
     for camera, mask in zip(cameras, masks, strict=True):
-        seen = points[left] @ camera.rotation.T + np.asarray(camera.translation)
+        seen = arithmetic.product(points[left], camera.rotation.T) + np.asarray(camera.translation)
         depth = np.maximum(seen[:, 2], 1e-12)
         column = np.floor(camera.focal_x * seen[:, 0] / depth + camera.centre_x).astype(np.int64)
         row = np.floor(camera.focal_y * seen[:, 1] / depth + camera.centre_y).astype(np.int64)

@@ -19,10 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageChops
-from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from paper_artifact import __version__
+from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.files import find_file, load_json, write_json
 from paper_artifact.formats.polygons import read_ply_elements
@@ -185,7 +184,7 @@ def transforms_scene(
             "key": key,
             "config": asdict(config),
             "background": background_colour(config.background).tolist(),
-            "radius": float(np.linalg.norm(np.ptp(points, axis=0))) / 2,
+            "radius": float(arithmetic.norm(np.ptp(points, axis=0))) / 2,
         }
         write_json(temporary / DESCRIPTION, description)
     return folder
@@ -210,8 +209,8 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
     if matrix.shape != (4, 4) or not np.abs(matrix).max() < FARTHEST:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
-    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
-    if np.linalg.det(axes) < RIGHT_ANGLED:
+    axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30)
+    if arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
     both = root | own
     model = str(both.get("camera_model") or "PINHOLE").upper()
@@ -251,9 +250,8 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
             f"{file} has no focal length of {name} (fl_x, fl_y, camera_angle_x or camera_angle_y); "
             "export it again"
         )
-    rotation = np.diag([1.0, -1.0, -1.0]) @ axes.T  # y up, z backward → y down, z forward
-    w, x, y, z = map(float, Rotation.from_matrix(rotation).as_quat(scalar_first=True))
-    right, below, ahead = map(float, -rotation @ matrix[:3, 3])
+    rotation = np.array([[1.0], [-1.0], [-1.0]]) * axes.T  # y up, z backward → y down, z forward
+    right, below, ahead = (-arithmetic.product(rotation, matrix[:3, 3])).tolist()
     camera = Camera(
         width=width,
         height=height,
@@ -261,7 +259,7 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
         focal_y=focal[1],
         centre_x=values["cx"] * across if "cx" in values else width / 2,
         centre_y=values["cy"] * down if "cy" in values else height / 2,
-        quaternion=(w, x, y, z),
+        quaternion=arithmetic.matrix_quaternion(rotation),
         translation=(right, below, ahead),
     )
     centre = (camera.centre_x, camera.centre_y)
@@ -298,7 +296,9 @@ def _focal(
 
 
 def _of_angle(angle: float | None, side: int) -> float:
-    return side / 2 / float(np.tan(angle / 2)) if angle is not None and 0 < angle < np.pi else 0.0
+    if angle is None or not 0 < angle < np.pi:
+        return 0.0
+    return side / 2 * float(arithmetic.cos(angle / 2) / arithmetic.sin(angle / 2))
 
 
 def _picture(view: View) -> Image.Image:

@@ -9,12 +9,14 @@ are given anew at every step, by the name of what they move: "vertices", "featur
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 
+from paper_artifact.arithmetic import power
 from paper_artifact.kernel_cache import njit
 from paper_artifact.soup.state import Soup
 
@@ -92,8 +94,8 @@ def corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
     rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square +
     eps·√c2).
     """
-    root = (1 - _BETA2**step) ** 0.5
-    return np.float32(rate * root / (1 - _BETA1**step)), np.float32(_EPS * root)
+    root = math.sqrt(1 - power(_BETA2, step))
+    return np.float32(rate * root / (1 - power(_BETA1, step))), np.float32(_EPS * root)
 
 
 class KernelOptimiser:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
+from paper_artifact import arithmetic
 from paper_artifact.errors import InputError
 from paper_artifact.kernel_cache import njit
 from paper_artifact.randomness import stream
@@ -69,17 +69,18 @@ def initial_soup(points: np.ndarray, count: int, seed: int, importance: np.ndarr
     else:
         # Gumbel's trick: the largest log w + G are a draw without replacement with probabilities proportional
         # to w.
-        keys = np.log(np.maximum(importance[rest], np.finfo(np.float64).tiny)) + draws.gumbel(size=len(rest))
+        gumbel = -arithmetic.log(-arithmetic.log(np.maximum(draws.random(len(rest)), 2.0**-53)))
+        keys = arithmetic.log(np.maximum(importance[rest], np.finfo(np.float64).tiny)) + gumbel
         others = rest[np.argsort(-keys, kind="stable")[: count - len(chosen)]]
     chosen = np.concatenate([chosen, others])
     centres = points[chosen]
     spacing = cKDTree(centres).query(centres, k=2)[0][:, 1].mean()
     if not spacing > 0:
         raise InputError("all points of the SfM cloud coincide; check the scene's points3D")
-    angle = 2 * np.pi * np.arange(3) / 3
-    base = np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], 1) * RADIUS_OF_SPACING * spacing
-    rotation = Rotation.random(count, rng=draws).as_matrix()
-    corners = centres[:, None] + np.einsum("nij,kj->nki", rotation, base)
+    high = np.sqrt(0.75)
+    base = np.array([[1.0, 0.0, 0.0], [-0.5, high, 0.0], [-0.5, -high, 0.0]]) * (RADIUS_OF_SPACING * spacing)
+    rotation = arithmetic.quaternion_matrix(arithmetic.normals(draws, count, 4))
+    corners = centres[:, None] + arithmetic.dot(rotation[:, None], base[:, None])
     return Soup(
         torch.from_numpy(corners.astype(np.float32)),
         torch.zeros(count, 3, FEATURES),

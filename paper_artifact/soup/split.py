@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from paper_artifact.arithmetic import norm, product
 from paper_artifact.kernel_cache import njit
 
 
@@ -93,7 +94,7 @@ def least_pieces(
     """Return a lower bound of the number of triangles that `split_long_edges` makes, arguments as there: a
     triangle whose edges are at most `limit` long has at most √3/4 limit² of screen area."""
     points = corners[wanted].astype(np.float64)
-    clip = points @ matrix[:, :3].T + matrix[:, 3]
+    clip = product(points, matrix[:, :3].T) + matrix[:, 3]
     clip = clip[((clip[..., 3] > 0) & (np.abs(clip[..., :3]).max(axis=2) <= clip[..., 3])).all(axis=1)]
     screen = clip[..., :2] / clip[..., 3:] * [aspect, 1.0]
     (ax, ay), (bx, by) = (screen[:, 1] - screen[:, 0]).T, (screen[:, 2] - screen[:, 0]).T
@@ -108,7 +109,7 @@ def bisected(corners: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.nd
     both in the parent's orientation.
     """
     picked = corners[chosen]
-    lengths = np.linalg.norm(picked - np.roll(picked, -1, axis=1), axis=2)
+    lengths = norm(picked - np.roll(picked, -1, axis=1))
     first = lengths.argmax(axis=1)
     rows = np.arange(len(picked))
     a, b, c = (picked[rows, (first + turn) % 3] for turn in (0, 1, 2))

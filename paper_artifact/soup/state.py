@@ -19,7 +19,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import load_npz, write_npz
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
-from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays
+from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays, sigmoid
 from paper_artifact.raster.view import ViewRaster, make_camera
 from paper_artifact.scene.load import Scene
 
@@ -59,13 +59,14 @@ class Soup:
     def drawn(self) -> SoupArrays:
         """Return what the CPU rasterizer draws: features and opacity through the sigmoid, the rest as it
         is."""
-        with torch.no_grad():
-            values = (self.vertices, torch.sigmoid(self.features), torch.sigmoid(self.opacity), *self.mlp)
-            return SoupArrays.of(np.ascontiguousarray(value.cpu().numpy(), np.float32) for value in values)
+        vertices, features, opacity, *mlp = (
+            np.ascontiguousarray(tensor.detach().cpu().numpy(), np.float32) for tensor in self.tensors()
+        )
+        return SoupArrays(vertices, sigmoid(features), sigmoid(opacity), tuple(mlp))
 
     def corner_opacity(self) -> np.ndarray:
         """Return the corners' opacities (T,3) float32 in [0,1]."""
-        return torch.sigmoid(self.opacity.detach()).cpu().numpy()
+        return sigmoid(self.opacity.detach().cpu().numpy())
 
 
 def soup_of(tensors: Sequence[torch.Tensor]) -> Soup:
@@ -87,7 +88,7 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
             continue
         outputs, inputs = shape
         bound = np.sqrt(6.0 / inputs) if outputs == HIDDEN else np.sqrt(6.0 / (inputs + outputs))
-        tensors.append(torch.from_numpy(draws.uniform(-bound, bound, shape).astype(np.float32)))
+        tensors.append(torch.from_numpy((bound * (2 * draws.random(shape) - 1)).astype(np.float32)))
     return tuple(tensors)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
 from paper_artifact.randomness import stream
@@ -157,7 +158,7 @@ def build_from_mesh(
     InputError as `build_bundle` and `sample_surface` do.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-    diagonal = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    diagonal = float(norm(vertices.max(axis=0) - vertices.min(axis=0)))
     points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
     return build_bundle(
         points, diagonal, shape=shape, seed=seed, source=fingerprint(vertices, faces), **options

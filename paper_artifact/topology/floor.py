@@ -12,10 +12,11 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
+from paper_artifact.arithmetic import dot, norm, normals, product
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 
-FLAT = 1e-12  # smallest over largest singular value below which a cloud counts as coplanar
+FLAT = 1e-12  # height over extent below which a cloud counts as coplanar
 MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
 
 
@@ -102,12 +103,24 @@ def check_cloud(cloud: np.ndarray, frame: Frame) -> np.ndarray:
             "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
         )
     frame.require_density(len(cloud))
-    spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
-    if spread[-1] <= FLAT * spread[0]:
+    if _height(cloud - cloud.mean(axis=0)) <= FLAT:
         raise InputError(
             "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
         )
     return cloud / frame.diagonal
+
+
+def _height(cloud: np.ndarray) -> float:
+    """Return how far `cloud` (M,3) around 0 reaches from the line through 0 and its farthest point, or, where
+    that is less, out of the plane through these and the point farthest from the line; over the farthest's
+    distance."""
+    far = cloud[np.argmax(dot(cloud, cloud))]
+    areas = np.cross(cloud, far)
+    normal = areas[np.argmax(dot(areas, areas))]
+    length, area = float(norm(far)), float(norm(normal))
+    if not area > 0:
+        return 0.0
+    return min(area / length**2, float(np.abs(product(cloud, normal)).max()) / (area * length))
 
 
 def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
@@ -116,4 +129,4 @@ def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarra
     """
     if noise == 0:
         return cloud
-    return cloud + noise * stream(seed, "topology-noise", counter).standard_normal(cloud.shape)
+    return cloud + noise * normals(stream(seed, "topology-noise", counter), *cloud.shape)

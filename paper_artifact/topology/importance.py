@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.arithmetic import exp
 from paper_artifact.errors import InputError
 from paper_artifact.topology.floor import measurement_floor, median_spacing, significant
 
@@ -33,7 +34,7 @@ class Kernels:
     def at(self, points: np.ndarray) -> np.ndarray:
         """Return φ_d (m,), the sum of the kernels at `points` (m,3), world units."""
         values = [
-            np.exp(-((block[:, None] - self.centres) ** 2).sum(axis=2) / (2 * self.widths**2)) @ self.weights
+            (self.weights * exp(-((block[:, None] - self.centres) ** 2).sum(2) / (2 * self.widths**2))).sum(1)
             for block in np.array_split(points, max(1, -(-len(points) // CHUNK)))
         ]
         return np.concatenate(values)

@@ -35,6 +35,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.arithmetic import log, norm
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle
@@ -189,7 +190,7 @@ class BettiLoss(PlannedLoss):
         """Return the statement, in the unit of the first points (M,3)."""
         if self.statement is None:
             extent = np.ptp(points, axis=0) if points.ndim == 2 and len(points) else np.zeros(3)
-            diagonal = float(np.linalg.norm(extent))
+            diagonal = float(norm(extent))
             if not np.isfinite(diagonal) or diagonal <= 0:  # the cloud's own check says what is wrong
                 return Statement(self.betti, 1.0)
             self.statement = Statement(self.betti, diagonal)
@@ -270,10 +271,11 @@ def _clean_birth(dimension: int, samples: int, spacing: float) -> float:
     0; discs percolate (loops) at radius r sqrt(1.128 / ln 2) and cover (voids) at r sqrt(a / ln 2),
     a = ln M + ln(1 + a).
     """
-    covering = math.log(samples)
+    logarithm = float(log(samples))
+    covering = logarithm
     for _ in range(50):  # a contraction: its derivative is 1 / (1 + a)
-        covering = math.log(samples) + math.log(1 + covering)
-    return spacing * math.sqrt((0.0, PERCOLATION, covering)[dimension] / math.log(2))
+        covering = logarithm + float(log(1 + covering))
+    return spacing * math.sqrt((0.0, PERCOLATION, covering)[dimension] / float(log(2.0)))
 
 
 def _aimed_otherwise(

@@ -25,6 +25,7 @@ from torch import Tensor
 from paper_artifact.alpha.diagrams import FirstDerivative
 from paper_artifact.alpha.persistence import Pairs, alpha_persistence
 from paper_artifact.alpha.radii import passes_gate, radius_and_gradient
+from paper_artifact.arithmetic import spreads, symmetric_eigen
 from paper_artifact.config import LossConfig
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.floor import measurement_floor, significant
@@ -362,7 +363,7 @@ def surface_variation(cloud: np.ndarray) -> np.ndarray:
     """
     _, near = cKDTree(cloud).query(cloud, k=min(NEIGHBOURS, len(cloud)))
     centred = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
-    eigenvalues = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centred, centred))
+    eigenvalues, _ = symmetric_eigen(spreads(centred))
     total = eigenvalues.sum(axis=1)
     return np.where(total > 0, np.maximum(eigenvalues[:, 0], 0.0) / np.where(total > 0, total, 1.0), 0.0)
 

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.alpha.persistence import alpha_persistence
+from paper_artifact.arithmetic import dot, norm, spreads, symmetric_eigen
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -80,7 +81,7 @@ def frame_diagonal(points: np.ndarray) -> float:
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
         raise InputError(f"a frame needs at least 4 finite points of shape (n, 3), got {points.shape}")
     low, high = np.percentile(points, BOX, axis=0)
-    diagonal = float(np.linalg.norm(high - low))
+    diagonal = float(norm(high - low))
     if not diagonal > 0:
         raise InputError("all points lie in one place, which has no extent to measure by; check the cloud")
     return diagonal
@@ -220,10 +221,8 @@ def projected(points: np.ndarray) -> np.ndarray:
     _, nearest = cKDTree(points).query(points, k=min(PLANE, len(points)))
     patches = points[nearest]
     centres = patches.mean(axis=1)
-    patches = patches - centres[:, None]
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))
-    normals = axes[:, :, 0]  # of the smallest extent
-    height = ((points - centres) * normals).sum(axis=1)
+    normals = symmetric_eigen(spreads(patches - centres[:, None]))[1][:, 0]  # of the smallest extent
+    height = dot(points - centres, normals)
     return points - height[:, None] * normals
 
 

@@ -28,6 +28,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from paper_artifact.alpha.diagrams import FirstDerivative
+from paper_artifact.arithmetic import length
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -223,7 +224,7 @@ class TopologyTerm:
         """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖ of this step and log it, or None and the reason."""
         live = vertices.detach().clone().requires_grad_(True)
         (gradient,) = torch.autograd.grad(objective.value(live), live)
-        topo_norm = float(torch.linalg.vector_norm(gradient.double()))
+        topo_norm = length(gradient.cpu().numpy())
         if callable(photo_gradient_norm):
             photo_gradient_norm = photo_gradient_norm(self.config.calibration_batches)
         photo_norm = float(photo_gradient_norm)

@@ -40,9 +40,8 @@ class CpuBackend:
         cameras = [self._cameras[int(view)] for view in views]
         targets = [self._targets[int(view)] for view in views]
         loss, gradients = self._step(drawn, cameras, targets, keys)
-        for value, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
-            sigmoid = torch.from_numpy(value)
-            torch.from_numpy(gradient).mul_(sigmoid * (1 - sigmoid))
+        for sigmoid, gradient in ((drawn.features, gradients.features), (drawn.opacity, gradients.opacity)):
+            gradient *= sigmoid * (1 - sigmoid)
         for tensor, gradient in zip(soup.tensors(), gradients.flat(), strict=True):
             tensor.grad = torch.from_numpy(gradient)
         return loss

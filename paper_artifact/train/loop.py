@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from paper_artifact.arithmetic import length
 from paper_artifact.config import RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -134,13 +135,14 @@ def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], flo
         for later in range(batches):
             if later > 0:
                 photometric(state.step + later)
-            norms.append(0.0 if soup.vertices.grad is None else float(soup.vertices.grad.norm()))
+            gradient = soup.vertices.grad
+            norms.append(0.0 if gradient is None else length(gradient.cpu().numpy()))
         for tensor, gradient in zip(soup.tensors(), own, strict=True):
             tensor.grad = gradient
         return sum(norms) / len(norms)
 
     if term.due(state.step, state.resampled):
-        term.refresh(state.step, soup.vertices, torch.sigmoid(soup.opacity.detach()))
+        term.refresh(state.step, soup.vertices, torch.from_numpy(soup.corner_opacity()))
     extra = term.value(state.step, soup.vertices, photo_norm)
     if extra is None:
         return

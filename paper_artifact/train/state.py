@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from paper_artifact.arithmetic import power
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_bytes
@@ -92,7 +93,7 @@ def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, flo
 
     radius: the scene's, world units, which vertex_lr is per unit of.
     """
-    decay = config.final_lr ** (step / config.steps)
+    decay = power(config.final_lr, step / config.steps)
     rates = {name: getattr(config, setting) * decay for name, setting in RATES.items()}
     return rates | {"vertices": config.vertex_lr * radius * decay}
 
