@@ -99,14 +99,19 @@ def colour_of_mark(rank: int) -> str:
     return COLOURS[rank % len(COLOURS)]
 
 
-def view_parts(mesh: Mesh, marks: Sequence[Mark]) -> dict[str, Triangles]:
-    """Return what the 3-D view shows by name: the mesh with its marks, and both with a see-through mesh."""
+def view_parts(
+    mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOURS
+) -> dict[str, Triangles]:
+    """Return what the 3-D view shows by name: the mesh with its marks, and both with a see-through mesh.
+
+    colours (#rrggbb): of the marks, in turn.
+    """
     surface = mesh_triangles(mesh)
     if not marks:
         return {"mesh": surface}
     tubes, balls = [], []
     for rank, mark in enumerate(marks):
-        colour = tuple(int(colour_of_mark(rank)[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        colour = tuple(int(colours[rank % len(colours)][i : i + 2], 16) / 255 for i in (1, 3, 5))
         if len(mark.line):
             tubes.append(_coloured(_tube(mark.line, THICKNESS * mesh.diagonal), colour))
         if mark.dimension == 2:

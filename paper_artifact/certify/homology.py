@@ -84,7 +84,7 @@ DUAL_LIMIT = 400_000_000
 def betti_numbers(simplices: Complex) -> np.ndarray:
     """Return (C,3) int64: b0 = 1, b1 and b2 over Z/2 of each component."""
     count = simplices.components
-    tree = _forest(np.ascontiguousarray(simplices.edges), len(simplices.component_of_vertex))
+    tree = forest(np.ascontiguousarray(simplices.edges), len(simplices.component_of_vertex))
     deferred, pivots, rows = _eliminate(simplices.face_edges, tree)
     of_face = simplices.component_of_vertex[simplices.faces[:, 0]]
     rank = np.bincount(of_face[pivots], minlength=count)
@@ -140,7 +140,8 @@ def _enters(basis: dict[int, int], row: int) -> bool:
 
 
 @njit(cache=True)
-def _forest(edges: np.ndarray, vertex_count: int) -> np.ndarray:
+def forest(edges: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Return which edges (E,2), taken in order, a spanning forest of the vertices has, (E,) bool."""
     parent = np.arange(vertex_count)
     tree = np.zeros(len(edges), dtype=np.bool_)
     for edge in range(len(edges)):

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from paper_artifact.audit.rule import DENSITIES, WORKING, counted
 from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
+from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, renewed_folder, write_json, write_text
-from paper_artifact.mesh import FEATURES, betti_text
+from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.scene.fetch import sources
 from paper_artifact.scene.shapes import SHAPES, find_mesh
 
@@ -23,6 +26,13 @@ def _named() -> list[str]:
 
 
 MESH = "a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape"
+# Colours of the loops around handles and around holes, in turn, and of voids.
+KINDS = {
+    "handle": (("red", "#c0392b"), ("orange", "#e67e22"), ("pink", "#d6539a")),
+    "hole": (("blue", "#1f5fbf"), ("violet", "#7d3c98"), ("cyan", "#00a5b8")),
+}
+GREEN = "#2e8b57"
+MOST_TOLD = 12  # marks that a page's title lists
 AUDIT_FILES = ("audit.json", "bundle.json", "audit.html")
 
 
@@ -35,6 +45,11 @@ class Certify(Options):
     closed: fail a surface with boundary (disk, annulus …) for its open edges, not pass it as one
     strict: with --candidates: exit code 1 where one disagrees with the paper
     candidates: instead of one mesh: the paper's eleven candidates, ours beside its table
+    where FILE: of a closed mesh: mark each handle, hole (tunnel) and void in this .html (3-D view) or .ply,
+        with a shortest loop, and list them
+    fill N: fill the N-th hole of that list, write --out and certify it
+    cut N: cut the N-th handle of that list, write --out and certify it
+    out MESH: where --fill or --cut writes, .ply, .obj or .stl (default: NAME_filled.ply or NAME_cut.ply)
     """
 
     mesh: Positional[Source | None] = None
@@ -42,6 +57,10 @@ class Certify(Options):
     closed: bool = False
     strict: bool = False
     candidates: bool = False
+    where: Path | None = None
+    fill: Annotated[int | None, 1] = None
+    cut: Annotated[int | None, 1] = None
+    out: Path | None = None
 
 
 def certify(options: Certify) -> tuple[int, Any]:
@@ -51,6 +70,10 @@ def certify(options: Certify) -> tuple[int, Any]:
 
     if options.candidates == (options.mesh is not None):
         raise WrongUsage("name one mesh to certify, or give --candidates for the paper's table")
+    if options.where is not None and options.where.suffix not in (".html", ".ply"):
+        raise WrongUsage(f"--where writes .html or .ply, got {options.where}")
+    if options.fill is not None and options.cut is not None:
+        raise WrongUsage("give --fill or --cut, one at a time: the other's numbers change with it")
     if options.mesh is None:
         rows = dispositions()
         print(f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured")
@@ -65,11 +88,82 @@ def certify(options: Certify) -> tuple[int, Any]:
         mesh = find_mesh(options.mesh, welded=False)
         certificate = certify_mesh(mesh, with_boundary=False if options.closed else None, progress=stage)
     print(certificate_text(certificate))
-    if certificate.passed:
+    found = certificate.to_json()
+    if options.where or options.fill or options.cut:
+        if not (certificate.passed and certificate.closed):
+            raise InputError(
+                f"{mesh.name} is no closed certified surface, so it has no inside; make a shell of it first: "
+                f"python -m paper_artifact ingest {options.mesh} --out {mesh.name}_shell.ply"
+            )
+        found |= _where(options, mesh, certificate.genus or 0)
+    if options.fill or options.cut:
+        pass  # the next command is of what was written
+    elif certificate.passed:
         print(next_command("audit", options.mesh))
     else:
         print(next_command("ingest", options.mesh, "--out", f"{mesh.name}_shell.ply"))
-    return int(not certificate.passed), certificate.to_json()
+    return int(not certificate.passed), found
+
+
+def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
+    """Print, mark and mend what a closed mesh has: handles, holes, voids. Returns them for --json."""
+    from paper_artifact.audit.marks import Mark, light_mesh, view_parts
+    from paper_artifact.certify.certificate import verdict_text
+    from paper_artifact.export.models import write_ply
+    from paper_artifact.export.viewer import write_html
+    from paper_artifact.ingest.handles import HANDLE, HOLE, cut_and_capped, find_loops, find_voids
+    from paper_artifact.ingest.solidify import write_shell
+
+    mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name)
+    with stage_bar(options.mesh, options.quiet) as stage:
+        loops, voids = find_loops(mesh, stage), find_voids(mesh)
+    of_kind = {kind: [each for each in loops if each.kind == kind] for kind in (HANDLE, HOLE)}
+    rows: list[tuple[str, int, str, float, float, str]] = []
+    marks: list[Mark] = []
+    colours: list[str] = []
+    for kind, found in of_kind.items():
+        for number, each in enumerate(found, start=1):
+            line = mesh.vertices[np.append(each.vertices, each.vertices[0])]
+            middle = line[:-1].mean(axis=0)
+            word, colour = KINDS[kind][(number - 1) % len(KINDS[kind])]
+            rows.append((kind, number, word, each.length, each.length / mesh.diagonal, _place(middle)))
+            marks.append(Mark(1, np.inf, line, middle, 0.0))
+            colours.append(colour)
+    for number, void in enumerate(voids, start=1):
+        ball = 2 * void.radius
+        rows.append(("void", number, "green", ball, ball / mesh.diagonal, _place(void.centre)))
+        marks.append(Mark(2, np.inf, np.zeros((0, 3)), void.centre, void.radius))
+        colours.append(GREEN)
+    heads = ("what", "N", "colour", "length", "/ diagonal", "about")
+    shown = [(*row[:3], f"{row[3]:.4g}", f"{row[4]:.4f}", row[5]) for row in rows]
+    print(to_string(heads, shown, "  "))
+    print("  (a loop around each handle and each hole; of a void the diameter of a large ball in it)")
+    for kind, found in of_kind.items():
+        if len(found) < genus:
+            lost = genus - len(found)
+            print(f"  (no short loop was found around {lost} of {genus} {kind}s: they are knotted)")
+    if options.where is not None:
+        parts = view_parts(light_mesh(mesh), marks, colours)
+        if options.where.suffix == ".html":
+            told = ", ".join(f"{what} {number} ({colour})" for what, number, colour, *_ in rows[:MOST_TOLD])
+            write_html(options.where, parts, f"{mesh.name}: {told}")
+        else:
+            write_ply(options.where, parts["seen through"])
+        print(options.where)
+    asked = next(((kind, n) for kind, n in ((HOLE, options.fill), (HANDLE, options.cut)) if n), None)
+    if asked is not None:
+        kind, number = asked
+        if number > len(of_kind[kind]):
+            raise InputError(f"{mesh.name} has {len(of_kind[kind])} {kind}s, so none of number {number}")
+        out = options.out or Path(f"{mesh.name}_{'filled' if kind == HOLE else 'cut'}.ply")
+        written = write_shell(out, cut_and_capped(mesh, of_kind[kind][number - 1]))
+        print(f"{out}: {verdict_text(written)}, {written.kind}, {betti_text(written.betti)}")
+        print(next_command("certify", out, "--where", f"{out.stem}.html"))
+    return {"where": [dict(zip(("kind", "number", "colour", *heads[3:]), row, strict=True)) for row in rows]}
+
+
+def _place(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,12 +45,9 @@ def crossing_faces(
         )
     if not len(faces):
         return np.zeros(0, dtype=bool)
-    # A power of two scales exactly and keeps the determinants away from the ends of double precision.
-    scale = 2.0 ** -np.ceil(np.log2(max(float(np.abs(vertices).max()), 1e-300)))
-    points = np.ascontiguousarray(vertices, dtype=np.float64) * scale
-    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    points, faces = _scaled(vertices), np.ascontiguousarray(faces, dtype=np.int64)
     edges, face_edges = edges_of(faces, len(points)) if links is None else links
-    cell = 1.5 * float(np.median(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)))
+    cell = _cell(points, edges)
     if changed is None:
         changed = np.ones(len(points), dtype=bool)
     some_faces, some_edges = changed[faces].any(axis=1), changed[edges].any(axis=1)
@@ -64,6 +61,25 @@ def crossing_faces(
             meets[chosen_edges] |= edge
             met[chosen] |= face
     return met | meets[face_edges].any(axis=1) | _folded(points, faces, face_edges, len(edges))
+
+
+def _scaled(vertices: np.ndarray) -> np.ndarray:
+    """Return the vertices by a power of two, which is exact and keeps the determinants away from the ends of
+    double precision."""
+    scale = 2.0 ** -np.ceil(np.log2(max(float(np.abs(vertices).max()), 1e-300)))
+    return np.ascontiguousarray(vertices, dtype=np.float64) * scale
+
+
+def _cell(points: np.ndarray, edges: np.ndarray) -> float:
+    return 1.5 * float(np.median(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)))
+
+
+def crossing_segments(vertices: np.ndarray, faces: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """Return (S,) bool: the segments (S,2) int64 between vertices (V,3) that may meet a face (F,3) int64 that
+    they share no corner with."""
+    points, faces = _scaled(vertices), np.ascontiguousarray(faces, dtype=np.int64)
+    boxes = file_boxes(points[faces], _cell(points, edges_of(faces, len(points))[0]))
+    return _meetings(points, faces, np.ascontiguousarray(segments), boxes)[0]
 
 
 def _folded(points: np.ndarray, faces: np.ndarray, face_edges: np.ndarray, count: int) -> np.ndarray:

@@ -1,0 +1,156 @@
+"""Handles, holes and voids: which loop goes around what, how long it is, and surgery that removes one."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from paper_artifact.certify.certificate import certify_mesh
+from paper_artifact.cli import main
+from paper_artifact.errors import InputError
+from paper_artifact.ingest.crossings import crossing_faces
+from paper_artifact.ingest.handles import cut_and_capped, find_loops, find_voids, linking_number
+from paper_artifact.ingest.solidify import write_shell
+from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
+from paper_artifact.scene.shapes import find_mesh, make_shape
+
+TURN = np.linspace(0, 2 * np.pi, 120, endpoint=False)[:, None]
+ZERO = np.zeros_like(TURN)
+
+
+def tube(path: np.ndarray, radius: float, around: int = 12) -> Mesh:
+    """A tube around a closed path (n,3)."""
+    ahead = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    side = np.cross(ahead, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    angle = 2 * np.pi * np.arange(around)[:, None, None] / around
+    points = path + radius * (np.cos(angle) * side + np.sin(angle) * np.cross(side, ahead))
+    index = np.arange(around * len(path)).reshape(around, len(path))
+    a, b = index.ravel(), np.roll(index, -1, axis=0).ravel()
+    c, d = np.roll(index, -1, axis=1).ravel(), np.roll(np.roll(index, -1, axis=0), -1, axis=1).ravel()
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    return outward(checked_mesh(points.reshape(-1, 3), faces, "tube"))
+
+
+def outward(mesh: Mesh) -> Mesh:
+    volume = find_voids(mesh)[0].volume
+    return mesh if volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1], mesh.name)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
+    faces = np.concatenate([each.faces + start for each, start in zip(meshes, starts, strict=False)])
+    return Mesh(np.concatenate([each.vertices for each in meshes]), faces, "joined")
+
+
+RING = np.concatenate([np.cos(TURN), np.sin(TURN), ZERO], axis=1)
+TREFOIL = np.concatenate(
+    [np.sin(TURN) + 2 * np.sin(2 * TURN), np.cos(TURN) - 2 * np.cos(2 * TURN), -np.sin(3 * TURN)], axis=1
+)
+
+
+def crossings(mesh: Mesh) -> int:
+    return int(crossing_faces(mesh.vertices.astype(np.float32).astype(float), mesh.faces).sum())
+
+
+def lengths(mesh: Mesh, kind: str) -> list[float]:
+    return [each.length for each in find_loops(mesh) if each.kind == kind]
+
+
+def test_linking_numbers_are_those_of_known_links():
+    other = np.concatenate([1 + np.cos(TURN), ZERO, np.sin(TURN)], axis=1)
+    assert abs(linking_number(RING, other)) == pytest.approx(1, abs=1e-9)
+    assert linking_number(RING, other[::-1]) == pytest.approx(-linking_number(RING, other), abs=1e-9)
+    assert linking_number(RING, other + [0, 3, 0]) == pytest.approx(0, abs=1e-9)
+
+
+def test_loops_go_around_the_handle_and_around_the_hole():
+    mesh = make_shape("torus")
+    assert lengths(mesh, "handle") == pytest.approx([2 * np.pi * 0.38], rel=1e-3)
+    assert lengths(mesh, "hole") == pytest.approx([2 * np.pi * 0.62], rel=1e-3)
+    assert find_loops(make_shape("sphere")) == ()
+    inward = Mesh(mesh.vertices, mesh.faces[:, ::-1], "torus")
+    assert lengths(inward, "handle") == pytest.approx(lengths(mesh, "handle"))
+
+
+def test_a_cavitys_handle_is_the_airs_hole():
+    ring, ball = tube(RING, 0.3), make_shape("sphere")
+    mesh = joined(Mesh(2 * ball.vertices, ball.faces, ""), Mesh(ring.vertices, ring.faces[:, ::-1], ""))
+    assert lengths(mesh, "hole") == pytest.approx(lengths(ring, "handle"))
+    assert lengths(mesh, "handle") == pytest.approx(lengths(ring, "hole"))
+    big, small = find_voids(mesh)
+    assert big.volume > 0 > small.volume and small.radius == pytest.approx(0.3, rel=0.05)
+    assert np.hypot(*small.centre[:2]) == pytest.approx(1, abs=0.05)
+    assert big.radius == pytest.approx(2, rel=0.02)
+
+
+@pytest.mark.parametrize("name, genus", [("torus", 1), ("double_torus", 2)])
+def test_each_handle_is_cut_and_each_hole_filled(name, genus):
+    mesh = make_shape(name)
+    loops = find_loops(mesh)
+    assert [each.kind for each in loops] == ["handle"] * genus + ["hole"] * genus
+    for each in loops:
+        made = cut_and_capped(mesh, each)
+        certificate = certify_mesh(made)
+        assert certificate.passed and certificate.genus == genus - 1
+        assert crossings(made) <= crossings(mesh)  # which touches itself in the double torus' crease
+
+
+def test_a_coarse_mesh_is_refined_for_surgery():
+    mesh = tube(RING[::20], 0.3, around=3)
+    assert {each.kind for each in find_loops(mesh)} == {"handle", "hole"}
+    assert all(certify_mesh(cut_and_capped(mesh, each)).genus == 0 for each in find_loops(mesh))
+
+
+def test_what_no_disc_closes_is_said(tmp_path, capsys):
+    ring = tube(RING, 0.2)
+    linked = joined(ring, Mesh(ring.vertices[:, [0, 2, 1]] + [1, 0, 0], ring.faces[:, ::-1], ""))
+    kinds = [each.kind for each in find_loops(linked)]
+    assert kinds == ["handle", "handle", "hole", "hole"]
+    with pytest.raises(InputError, match="no disc closes this hole"):
+        cut_and_capped(linked, find_loops(linked)[2])
+    knot = tube(TREFOIL, 0.25)
+    (handle,) = find_loops(knot)  # the loop that bounds outside winds along the knot: no two shortest paths
+    assert certify_mesh(cut_and_capped(knot, handle)).genus == 0
+    write_shell(tmp_path / "knot.ply", Mesh(knot.vertices.astype(np.float32).astype(float), knot.faces, ""))
+    assert main(["certify", str(tmp_path / "knot.ply"), "--where", str(tmp_path / "k.html"), "--quiet"]) == 0
+    assert "no short loop was found around 1 of 1 holes" in capsys.readouterr().out
+
+
+def test_the_command_marks_fills_and_cuts(tmp_path, capsys):
+    page, found, out = (tmp_path / name for name in ("w.html", "w.json", "out.ply"))
+    assert main(["certify", "torus", "--where", str(page), "--json", str(found), "--quiet"]) == 0
+    printed = capsys.readouterr().out
+    assert "handle  1  red" in printed and "hole    1  blue" in printed and "void    1  green" in printed
+    assert "hole 1 (blue)" in page.read_text()
+    kinds = [each["kind"] for each in json.loads(found.read_text())["where"]]
+    assert kinds == ["handle", "hole", "void"]
+    for words in (["--fill", "1"], ["--cut", "1", "--where", str(tmp_path / "w.ply")]):
+        assert main(["certify", "torus", *words, "--out", str(out), "--quiet"]) == 0
+        assert "PASS, closed surface, genus 0" in capsys.readouterr().out
+        assert certify_mesh(load_mesh(out)).genus == 0
+    assert len(load_mesh(tmp_path / "w.ply").faces) > 27648
+
+
+@pytest.mark.parametrize(
+    "words, code, said",
+    [
+        (["torus", "--fill", "2"], 1, "has 1 holes, so none of number 2"),
+        (["bowl_wide", "--where", "w.html"], 1, "is no closed certified surface"),
+        (["torus", "--where", "w.png"], 2, "--where writes .html or .ply"),
+        (["torus", "--fill", "1", "--cut", "1"], 2, "one at a time"),
+        (["torus", "--cut", "0"], 2, "--cut must be at least 1"),
+    ],
+)
+def test_wrong_wishes_are_one_sentence(words, code, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["certify", *words, "--quiet"]) == code and said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mesh_of_others_loses_its_hole():
+    mesh = find_mesh("bob")
+    assert [certify_mesh(cut_and_capped(mesh, each)).genus for each in find_loops(mesh)] == [0, 0]
