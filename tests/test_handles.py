@@ -11,8 +11,9 @@ from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
 from paper_artifact.ingest.crossings import crossing_faces
-from paper_artifact.ingest.handles import cut_and_capped, find_loops, find_voids, linking_number
+from paper_artifact.ingest.handles import find_loops, find_voids, linking_number
 from paper_artifact.ingest.solidify import write_shell
+from paper_artifact.ingest.surgery import cut_and_capped
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
 from paper_artifact.scene.shapes import find_mesh, make_shape
 

@@ -111,8 +111,9 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.certify.certificate import verdict_text
     from paper_artifact.export.models import write_ply
     from paper_artifact.export.viewer import write_html
-    from paper_artifact.ingest.handles import HANDLE, HOLE, cut_and_capped, find_loops, find_voids
+    from paper_artifact.ingest.handles import HANDLE, HOLE, find_loops, find_voids
     from paper_artifact.ingest.solidify import write_shell
+    from paper_artifact.ingest.surgery import cut_and_capped
 
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name)
     with stage_bar(options.mesh, options.quiet) as stage:

@@ -1,8 +1,8 @@
-"""Where the handles, holes and voids of a closed surface are, and surgery that cuts a handle or fills a hole.
+"""Where the handles, holes and voids of a closed surface are.
 
 A surface of genus g in space has g independent loops that bound inside of it and g that bound outside. A loop
 that bounds in the material goes around a handle: along it the handle is cut. A loop that bounds outside goes
-around a hole (a tunnel): along it the hole is filled. Which is which is exact, without rays: c⁺ is loop c
+around a hole (a tunnel): along it the hole is filled (`ingest.surgery`). Which is which is exact, without rays: c⁺ is loop c
 pushed off the surface outwards, and θ(c, d) the linking number of c⁺ and d; d bounds inside where θ(·, d) = 0
 and outside where θ(d, ·) = 0 (Alexander duality).
 
@@ -23,9 +23,8 @@ from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
 from paper_artifact.certify.homology import edges_of, forest, labels_of_graph
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.crossings import crossing_faces, crossing_segments
 from paper_artifact.kernel_cache import njit
-from paper_artifact.mesh import Mesh, checked_mesh, weld
+from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 
@@ -36,8 +35,6 @@ ROUNDS = 4  # of the search from the loops' own vertices
 ON_LOOP = 12  # of these, on each loop
 PUSH = 0.01  # of a vertex's shortest edge
 PRIME = 2**31 - 1
-ATTEMPTS = 5  # of surgery, with finer triangles or a wider band
-TRIES = 30  # of a disc, each without a diagonal of the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,123 +318,3 @@ def find_voids(mesh: Mesh) -> tuple[Void, ...]:
         best = int(np.where(np.isfinite(radius), radius, 0).argmax())
         voids.append(Void(points[best] - radius[best] * normal[best], float(radius[best]), volume))
     return tuple(sorted(voids, key=lambda each: -abs(each.volume)))
-
-
-def cut_and_capped(mesh: Mesh, loop: Loop) -> Mesh:
-    """Return the Mesh without the triangles along a loop, both rims closed by discs; float32 vertices.
-
-    That cuts a handle, and fills a hole by a plate as thick as the triangles are wide. Raises InputError
-    where a disc would cross the surface, as in a hole that is knotted or that something passes through.
-    """
-    vertices, faces, path = mesh.vertices, mesh.faces, loop.vertices
-    band = path
-    for _ in range(ATTEMPTS):
-        rounded = vertices.astype(np.float32).astype(np.float64)
-        removed = np.isin(faces, band).any(axis=1)
-        whole, rims = faces[~removed], _rims(faces[~removed])
-        if len(rims) == 2:
-            for rim in rims:
-                whole = np.concatenate([whole, cap]) if len(cap := _cap(rounded, whole, rim)) else whole[:0]
-            if len(whole):
-                return checked_mesh(*weld(rounded, whole), mesh.name)
-            band = np.unique(faces[removed])  # rims farther from a crease have discs more often
-        elif band is path:
-            vertices, faces, path = _finer(vertices, faces, path)
-            band = path
-        else:
-            break
-    raise InputError(
-        f"no disc closes this {loop.kind} without crossing the surface: something passes through it, or its "
-        "loop is knotted or bent; choose another, or mend the mesh in a mesh editor"
-    )
-
-
-def _cap(vertices: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Return the triangles (n-2,3) of a disc that closes a rim (n,) of the faces and crosses none of them;
-    none where no such disc is found."""
-    if len(faces) == 0:
-        return faces
-    pairs = np.stack(np.meshgrid(rim, rim, indexing="ij"), axis=-1)
-    edges = edges_of(faces, len(vertices))[0] @ (len(vertices), 1)
-    taken = np.isin(np.sort(pairs, axis=-1) @ (len(vertices), 1), edges)
-    apart = np.triu_indices(len(rim), 2)
-    taken[apart] |= crossing_segments(vertices, faces, pairs[apart])
-    near = np.isin(np.arange(len(vertices)), rim)
-    for _ in range(TRIES):
-        disc = _disc(vertices[rim], taken)
-        crossing = crossing_faces(vertices, np.concatenate([faces, rim[disc]]), changed=near)[len(faces) :]
-        if len(disc) and not crossing.any():
-            return rim[disc]
-        for i, k, j in disc[crossing].tolist():  # without its longest side, unless that is of the rim
-            sides = [(a, b) for a, b in ((i, k), (k, j), (i, j)) if 1 < b - a < len(rim) - 1]
-            if sides:
-                taken[max(sides, key=lambda side: np.ptp(vertices[rim[list(side)]], axis=0).max())] = True
-        if not len(disc):
-            break
-    return faces[:0]
-
-
-def _rims(kept: np.ndarray) -> list[np.ndarray]:
-    """Return the closed chains of vertices where faces are missing, in the direction that a disc there has;
-    none where a chain meets itself or another one."""
-    sides = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]])
-    base = int(kept.max()) + 1
-    border = sides[~np.isin(sides @ (base, 1), sides @ (1, base))]
-    after = dict(border[:, ::-1].tolist())
-    rims: list[np.ndarray] = []
-    if len(after) < len(border):
-        return rims
-    while after:
-        rim = [next(iter(after))]
-        while (step := after.pop(rim[-1])) != rim[0]:
-            rim.append(step)
-        rims.append(np.array(rim))
-    return rims
-
-
-def _finer(vertices: np.ndarray, faces: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return a mesh and a closed path with every edge halved, every triangle cut into four."""
-    edges, sides = edges_of(faces, len(vertices))
-    ab, bc, ca = (len(vertices) + sides).T
-    a, b, c = faces.T
-    four = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    ends = np.sort(np.stack([path, np.roll(path, -1)], axis=1), axis=1) @ (len(vertices), 1)
-    halves = len(vertices) + np.searchsorted(edges @ (len(vertices), 1), ends)
-    return (
-        np.concatenate([vertices, vertices[edges].mean(axis=1)]),
-        np.concatenate([np.stack(each, axis=1) for each in four]),
-        np.stack([path, halves], axis=1).reshape(-1),
-    )
-
-
-@njit(cache=True)
-def _disc(points: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """Return the triangles (n-2,3) of a closed chain (n,3) that have the least area together, without the
-    diagonals that are `taken` (n,n); none where there is no such disc (Barequet and Sharir 1995)."""
-    n = len(points)
-    cost, middle = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
-    for span in range(2, n):
-        for i in range(n - span):
-            j = i + span
-            cost[i, j] = np.inf
-            if taken[i, j] and span < n - 1:
-                continue
-            for k in range(i + 1, j):
-                normal = np.cross(points[k] - points[i], points[j] - points[i])
-                total = cost[i, k] + cost[k, j] + np.sqrt((normal * normal).sum())
-                if total < cost[i, j]:
-                    cost[i, j], middle[i, j] = total, k
-    triangles = np.empty((n - 2 if np.isfinite(cost[0, n - 1]) else 0, 3), dtype=np.int64)
-    if len(triangles) == 0:
-        return triangles
-    stack, count = [(0, n - 1)], 0
-    while len(stack) > 0:
-        i, j = stack.pop()
-        if j - i < 2:
-            continue
-        k = middle[i, j]
-        triangles[count, 0], triangles[count, 1], triangles[count, 2] = i, k, j
-        count += 1
-        stack.append((i, k))
-        stack.append((k, j))
-    return triangles
