@@ -116,7 +116,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.ingest.surgery import cut_and_capped
 
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name)
-    with stage_bar(options.mesh, options.quiet) as stage:
+    with stage_bar(mesh.name, options.quiet) as stage:
         loops, voids = find_loops(mesh, stage), find_voids(mesh)
     of_kind = {kind: [each for each in loops if each.kind == kind] for kind in (HANDLE, HOLE)}
     rows: list[tuple[str, int, str, float, float, str]] = []

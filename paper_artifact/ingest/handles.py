@@ -2,9 +2,9 @@
 
 A surface of genus g in space has g independent loops that bound inside of it and g that bound outside. A loop
 that bounds in the material goes around a handle: along it the handle is cut. A loop that bounds outside goes
-around a hole (a tunnel): along it the hole is filled (`ingest.surgery`). Which is which is exact, without rays: c⁺ is loop c
-pushed off the surface outwards, and θ(c, d) the linking number of c⁺ and d; d bounds inside where θ(·, d) = 0
-and outside where θ(d, ·) = 0 (Alexander duality).
+around a hole (a tunnel): along it the hole is filled (`ingest.surgery`). Which is which is exact, without
+rays: c⁺ is loop c pushed off the surface outwards, and θ(c, d) the linking number of c⁺ and d; d bounds
+inside where θ(·, d) = 0 and outside where θ(d, ·) = 0 (Alexander duality).
 
 Short loops are two shortest paths from one vertex and an edge between their ends (Erickson and Whittlesey,
 "Greedy optimal homotopy and homology generators", SODA 2005). Their classes are read off 2g integer cocycles,
