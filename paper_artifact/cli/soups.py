@@ -1,4 +1,4 @@
-"""What is made of a trained soup: `evaluate` measures it, or a mesh; `export` writes PLY, GLB, PNG and HTML."""
+"""What is made of a trained soup: `evaluate` measures it, or a mesh; `export` writes PLY, GLB, PNG, HTML."""
 
 from __future__ import annotations
 
