@@ -181,7 +181,9 @@ class RunConfig:
         "white", "of the views; a texture is infinitely far away", choices=("white", "black", "texture")
     )
     batch: int = _setting(4, "views per step", 1)
-    vertex_lr: float = _setting(1e-2, "learning rate of vertices, / scene radius", above=0, high=1)
+    vertex_lr: float = _setting(
+        1e-2, "learning rate of vertices, / scene radius; of photographs: / `Scene.units`", above=0, high=1
+    )
     feature_lr: float = _setting(5e-2, "learning rate of the feature logits", above=0, high=100)
     opacity_lr: float = _setting(5e-2, "learning rate of the opacity logits", above=0, high=100)
     mlp_lr: float = _setting(1e-2, "learning rate of the shading MLP", above=0, high=100)

@@ -271,12 +271,14 @@ def run(
         device=device,
         resampler=resampler,
         importance=importance,
+        tell=tell,
     )
     sections = {
         "images": holdout_section(state.soup, scene),
         "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
+        **({"warnings": state.warnings} if state.warnings else {}),
         **subject.sections(scene, target),
         **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
         **({} if term is None else term_sections(term)),

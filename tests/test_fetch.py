@@ -218,7 +218,8 @@ def test_the_tables_are_complete_and_pinned(monkeypatch):
     needed = "spot bob rocker-arm fandisk horse armadillo eight cheburashka eight-dense cow ogre teapot beast"
     meshes = fetching.sources()
     assert {*needed.split(), "max-planck"} <= set(meshes)
-    assert {name: len(each.files) for name, each in photo_sets().items()} == {"castle": 11, "lego": 101}
+    counts = {"castle": 11, "lego": 101, "fox": 51, "monstree": 23}
+    assert {name: len(each.files) for name, each in photo_sets().items()} == counts
     obtainable = [entry for entry in meshes.values() if entry.obtainable]
     for entry in obtainable + [file for each in photo_sets().values() for file in each.files]:
         assert entry.role in ROLES and len(entry.commit) == 40 and len(entry.sha256) == 64 and entry.bytes > 0

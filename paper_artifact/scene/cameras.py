@@ -14,6 +14,7 @@ from paper_artifact.mesh import Mesh
 CAMERA_DISTANCE = 3.0  # in bounding radii of the scene
 FIELD_OF_VIEW = 50.0  # degrees, over the image's width
 NEAR, FAR = 0.01, 100.0  # in bounding radii of the scene
+HALF_PICTURE = 1.3989229744649955  # 3 tan 25°: half of a picture's side at the scene's centre, in such radii
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))  # radians
 
 
@@ -82,6 +83,37 @@ def world_to_clip(camera: Camera, near: float, far: float) -> np.ndarray:
     view[:3, :3] = camera.rotation
     view[:3, 3] = camera.translation
     return arithmetic.product(projection, view)
+
+
+def picture_radii(points: np.ndarray, world_to_clip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return for points (…,3) the radius (…) float64 of the ball that fills a picture there as the study's
+    scenes fill theirs, world units, and whether any view shows the point, (…) bool.
+
+    In one view: the point's depth times half the picture (geometric mean of both sides) at depth 1, over
+    `HALF_PICTURE`; of the views (n,4,4) that show it, the median (the lower one of two). What no view shows
+    has the smallest radius of what one does; inf where no view shows anything. Elementwise arithmetic only,
+    so that all processors give the same bits.
+    """
+    x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0).reshape(3, -1)
+    radii = np.full((len(world_to_clip), len(x)), np.inf)
+    for radius, matrix in zip(radii, np.asarray(world_to_clip, np.float64), strict=True):
+        across, down, _, depth = (a * x + b * y + c * z + d for a, b, c, d in matrix)
+        inside = (depth > 0) & (np.abs(across) <= depth) & (np.abs(down) <= depth)
+        radius[inside] = depth[inside] * (_half_picture(matrix) / HALF_PICTURE)
+    views = np.isfinite(radii).sum(axis=0)
+    found = np.sort(radii, axis=0)[np.maximum(views - 1, 0) // 2, np.arange(len(x))]
+    shape = np.shape(points)[:-1]
+    return np.where(views > 0, found, found.min()).reshape(shape), (views > 0).reshape(shape)
+
+
+def _half_picture(matrix: np.ndarray) -> float:
+    """Return the geometric mean of half width and half height of a picture at depth 1, by its
+    `world_to_clip`."""
+    (a, b, c), (d, e, f), (x, y, z) = matrix[[0, 1, 3], :3]
+    ahead, aside = a * x + b * y + c * z, d * x + e * y + f * z  # of the principal point, off the centre
+    wide = a * a + b * b + c * c - ahead * ahead
+    high = d * d + e * e + f * f - aside * aside
+    return float(1 / np.sqrt(np.sqrt(wide * high)))
 
 
 def look_at(

@@ -17,7 +17,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.scene.cameras import FAR, NEAR, framed, world_to_clip
+from paper_artifact.scene.cameras import FAR, NEAR, framed, picture_radii, world_to_clip
 from paper_artifact.scene.colmap import Model, read_model
 from paper_artifact.scene.folder import (
     GROUND_TRUTH,
@@ -50,6 +50,18 @@ class Scene:
     holdout: np.ndarray  # (m,) int64, indices of the views held out
     radius: float = 1.0  # bounding radius, world units: the unit of learning rates and of near and far
     frame: Frame = SAME  # of the world units here, which are the files' unless those are far, huge or tiny
+    rendered: bool = True  # of a mesh by this package, or photographs: `units`
+
+    def units(self, vertices: np.ndarray) -> np.ndarray:
+        """Return what `vertex_lr` is per unit of at each vertex (…,3), over `radius`: (…) float32.
+
+        A step is as long in the pictures of any scene as in the study's, near and far: `picture_radii`. A
+        rendered scene states its radius, which is that of its centre, for all.
+        """
+        if self.rendered:
+            return np.ones(vertices.shape[:-1], np.float32)
+        found, _ = picture_radii(vertices, self.world_to_clip[self.train])
+        return np.where(np.isfinite(found), found / self.radius, 1).astype(np.float32)
 
     def colours(self, views: np.ndarray | list[int] | int) -> np.ndarray:
         """Return the images of these views, (…,H,W,3) float32 in [0,1]."""
@@ -134,6 +146,7 @@ def load_scene(
         holdout=chosen,
         radius=radius,
         frame=frame,
+        rendered="camera_distance_in_radii" in description,
     )
 
 

@@ -23,7 +23,7 @@ from paper_artifact.soup.state import Soup
 
 class VectorAdam(torch.optim.Optimizer):
     """Optimizer of tensors (…, 3): second moment = running mean of the squared gradient norm, betas (.9,
-    .999), eps 1e-8."""
+    .999), eps 1e-8; a group's "units" (…) multiply lr vector by vector."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class VectorAdam(torch.optim.Optimizer):
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-8,
     ) -> None:
-        super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
+        super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps, "units": None})
 
     @torch.no_grad()
     def step(self, closure: None = None) -> None:  # type: ignore[override]
@@ -54,6 +54,8 @@ class VectorAdam(torch.optim.Optimizer):
                 state["square"].lerp_(parameter.grad.square().sum(-1, keepdim=True), 1 - beta2)
                 mean = state["mean"] / (1 - beta1 ** state["step"])
                 scale = (state["square"] / (1 - beta2 ** state["step"])).sqrt_().add_(group["eps"])
+                if group["units"] is not None:
+                    mean = mean * group["units"].unsqueeze(-1)
                 parameter.addcdiv_(mean, scale.expand_as(mean), value=-group["lr"])
 
 
@@ -77,12 +79,13 @@ def adam(value, gradient, mean, square, rate, eps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def vector_adam(value, gradient, mean, square, rate, eps):
-    """As `adam`, but with one second moment per vector: value, gradient and mean (3·n,), square (n,)."""
+def vector_adam(value, gradient, mean, square, rate, eps, scale):
+    """As `adam`, but with one second moment per vector: value, gradient and mean (3·n,), square (n,); the
+    rate of vector i is rate · scale[i], scale (n,) float32."""
     for i in range(len(square)):
         x, y, z = gradient[3 * i], gradient[3 * i + 1], gradient[3 * i + 2]
         square[i] = _KEEP2 * square[i] + _NEW2 * (x * x + y * y + z * z)
-        factor = rate / (np.sqrt(square[i]) + eps)
+        factor = rate * scale[i] / (np.sqrt(square[i]) + eps)
         for k in range(3 * i, 3 * i + 3):
             mean[k] = _KEEP1 * mean[k] + _NEW1 * gradient[k]
             value[k] -= factor * mean[k]
@@ -110,16 +113,21 @@ class KernelOptimiser:
         self._squares[0] = np.zeros(len(self._values[0]) // 3, np.float32)
         self._steps = dict.fromkeys(NAMES, 0)  # taken with these moments
 
-    def step(self, rates: Mapping[str, float]) -> None:
-        """Move every tensor along its gradient; rates by name, see `NAMES`."""
+    def step(self, rates: Mapping[str, float], units: np.ndarray | None = None) -> None:
+        """Move every tensor along its gradient; rates by name, see `NAMES`. units: what the vertices' rate is
+        multiplied by at each vertex, (T,3) float32; None: 1."""
         for name in self._steps:
             self._steps[name] += 1
+        scale = np.ones(len(self._squares[0]), np.float32) if units is None else units.reshape(-1)
         numbers = {name: corrected(rates[name], step) for name, step in self._steps.items()}
         arrays = zip(NAMES, self._tensors, self._values, self._means, self._squares, strict=True)
         for name, tensor, value, mean, square in arrays:
-            rule = vector_adam if name == "vertices" else adam
             assert tensor.grad is not None, "a step without gradients"
-            rule(value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name])
+            moments = value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name]
+            if name == "vertices":
+                vector_adam(*moments, scale)
+            else:
+                adam(*moments)
 
     def mlp_state(self) -> dict[str, Any]:
         """Return the MLP's moments and the number of steps they saw, as `load_mlp_state` takes them."""
@@ -148,8 +156,10 @@ class TorchOptimiser:
             "mlp": torch.optim.Adam(soup.mlp),
         }
 
-    def step(self, rates: Mapping[str, float]) -> None:
-        """Move every tensor along its gradient; rates by name, see `NAMES`."""
+    def step(self, rates: Mapping[str, float], units: np.ndarray | None = None) -> None:
+        """As `KernelOptimiser.step`."""
+        group = self._optimisers["vertices"].param_groups[0]
+        group["units"] = None if units is None else torch.from_numpy(units).to(group["params"][0])
         for name, optimiser in self._optimisers.items():
             optimiser.param_groups[0]["lr"] = rates[name]
             optimiser.step()

@@ -56,6 +56,7 @@ class Resampler:
     split_until: float = 0.95  # fraction of the run's steps after which nothing is split
     split_views: int = 20  # views in which long edges are looked for
     split_height: float = 0.2  # fraction of the image height above which an edge is long
+    strict: bool = False  # what splitting makes beyond the budget goes too, the least visible first
     prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
     respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
 
@@ -87,7 +88,7 @@ class Resampler:
                 split = (
                     self._pruned(more, len(split), world_to_clip, *half) if len(more) > len(split) else split
                 )
-            soup = split
+            soup = self._pruned(split, self.budget, world_to_clip, *half) if self.strict else split
         self._check(soup, before, pruned)
         return soup, ResampleReport(before, pruned, len(soup))
 
@@ -139,10 +140,15 @@ def _corners(soup: Soup) -> np.ndarray:
     return np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
 
 
-def plain_resampler(config: RunConfig) -> Resampler:
-    """Return DiffSoup's own resampler with the run's settings."""
+def plain_resampler(config: RunConfig, strict: bool = False) -> Resampler:
+    """Return DiffSoup's own resampler with the run's settings. strict: see `Resampler`; in the study's scenes
+    splitting exceeds the budget by 9 % at most, among photographs threefold (a triangle near a camera)."""
     return Resampler(
-        config.budget, config.resample_every, split_views=config.split_views, split_height=config.split_height
+        config.budget,
+        config.resample_every,
+        split_views=config.split_views,
+        split_height=config.split_height,
+        strict=strict,
     )
 
 

@@ -33,6 +33,7 @@ from paper_artifact.train.state import (
     resumed_state,
     write_checkpoint,
 )
+from paper_artifact.train.watch import Watch
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
@@ -56,6 +57,7 @@ def train(
     device: str = "auto",
     resampler: Resampler | None = None,
     importance: np.ndarray | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> TrainState:
     """Train a soup on the scene's training views and return the state after the last step, the soup on the
     CPU.
@@ -64,17 +66,18 @@ def train(
     dict) at each of config.dump_steps. checkpoint: file that is written after each resampling and read at the
     start when it belongs to the same configuration. progress(step, text) is called after each step. device:
     "cpu", "cuda" or "auto" (cuda when there is one). resampler: None for DiffSoup's own. importance: of the
-    scene's points (n,), for the choice of the first triangles. Raises TrainingError when a loss or the soup
-    stops being finite, at the latest ten steps later, InputError for a scene without training views or a
-    foreign checkpoint.
+    scene's points (n,), for the choice of the first triangles. tell: called with what goes wrong on a scene
+    of photographs, see `Watch`. Raises TrainingError when a loss or the soup stops being finite, at the
+    latest ten steps later, InputError for a scene without training views or a foreign checkpoint.
     """
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
-    resampler = resampler or plain_resampler(config)
+    resampler = resampler or plain_resampler(config, strict=not scene.rendered)
     state = resumed_state(checkpoint, config, term, backend) or start_state(
         scene, config, backend, importance
     )
+    watch = None if tell is None or scene.rendered else Watch(scene, config, tell)
 
     def photometric(step: int) -> float:
         views = batch_views(scene.train, config.batch, config.seed, step)
@@ -90,15 +93,20 @@ def train(
             if term is not None:
                 add_term(term, state, photometric)
         with state.timed("optimiser"):
-            state.optimiser.step(learning_rates(config, float(scene.radius), step))
+            if state.resampled:  # as at the start
+                units = scene.units(state.soup.vertices.detach().cpu().numpy())
+            state.optimiser.step(learning_rates(config, float(scene.radius), step), units)
             state.check(loss, config)
         state.resampled = False
         if resampler.due(step, config.steps):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
                 height, width = scene.images.shape[2:]
+                soup = backend.to_host(state.soup)
+                if watch is not None:
+                    watch.look(step, state.losses, soup)
                 soup, report = resampler.resample(
-                    backend.to_host(state.soup), views_of_all, height, width, config.seed, step, config.steps
+                    soup, views_of_all, height, width, config.seed, step, config.steps
                 )
                 state.replace_soup(backend.to_device(soup))
                 state.resamplings.append({"step": step, **vars(report)})
@@ -110,6 +118,7 @@ def train(
         if progress is not None:
             progress(step, f"loss {loss:.4f}, {len(state.soup)} triangles")
     state.soup = backend.to_host(state.soup)
+    state.warnings = [] if watch is None else watch.sentences()
     return state
 
 

@@ -54,6 +54,7 @@ class TrainState:
     )  # step, triangles before, after pruning, after splitting
     seconds: dict[str, float] = field(default_factory=dict)  # wall time by stage
     resumed_at: int | None = None  # step of the checkpoint that this run went on from
+    warnings: list[str] = field(default_factory=list)  # what went wrong since, a sentence each: `watch.Watch`
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
