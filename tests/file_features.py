@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,45 +59,28 @@ class Gltf:
     def add(self, values, kind: str = "f4", **more) -> int:
         array = np.asarray(values, dtype="<" + kind)
         width = array.shape[1] if array.ndim > 1 else 1
-        self.accessors.append(
-            {
-                "bufferView": self.view(array.tobytes()),
-                "componentType": CODES[kind],
-                "count": len(array),
-                "type": KINDS[width],
-            }
-            | more
-        )
+        entry = {"bufferView": self.view(array.tobytes()), "componentType": CODES[kind]}
+        self.accessors.append(entry | {"count": len(array), "type": KINDS[width]} | more)
         return len(self.accessors) - 1
 
-    def cube(self, **more) -> dict:
-        """Return a primitive that is the cube."""
-        return {"attributes": {"POSITION": self.add(POINTS)}, "indices": self.add(FACES.ravel(), "u2")} | more
+    def cube(self, position: int | None = None, index: str = "u2", **more) -> dict:
+        """Return a primitive that is the cube, its points in an accessor of its own or in `position`."""
+        position = self.add(POINTS) if position is None else position
+        return {"attributes": {"POSITION": position}, "indices": self.add(FACES.ravel(), index)} | more
 
     def document(self, primitives=None, nodes=None, **more) -> dict:
-        nodes = nodes or [{"mesh": 0}]
-        return (
-            self.top
-            | {
-                "scene": 0,
-                "scenes": [{"nodes": [0]}],
-                "nodes": nodes,
-                "buffers": [{"byteLength": len(self.data)}],
-                "meshes": [{"primitives": primitives or [self.cube()]}],
-                "bufferViews": self.views,
-                "accessors": self.accessors,
-            }
-            | more
-        )
+        scene = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes or [{"mesh": 0}]}
+        shapes = {"meshes": [{"primitives": primitives or [self.cube()]}], "accessors": self.accessors}
+        data = {"bufferViews": self.views, "buffers": [{"byteLength": len(self.data)}]}
+        return self.top | scene | shapes | data | more
 
     def glb(self, folder: Path, document: dict, name: str = "cube.glb") -> Path:
         document["buffers"][0]["byteLength"] = len(self.data)
         text = json.dumps(document).encode()
         text += b" " * (-len(text) % 4)
         rest = self.data + b"\0" * (-len(self.data) % 4)
-        chunks = (
-            struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(rest), 0x4E4942) + rest
-        )
+        chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+        chunks += struct.pack("<II", len(rest), 0x4E4942) + rest
         (folder / name).write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks)
         return folder / name
 
@@ -112,74 +96,39 @@ def gltf(name: str, change=None, refused: str = "", cubes: int = 1, **top) -> Fe
     return Feature("glTF, GLB", name, write, refused, cubes)
 
 
-def text(
-    kind: str, name: str, content: str | bytes, refused: str = "", cubes: int = 1, file: str = ""
-) -> Feature:
-    def write(folder: Path) -> Path:
-        path = folder / (file or f"cube.{kind.split(',')[0].lower()}")
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return Feature(kind, name, write, refused, cubes)
-
-
 def quantized(made: Gltf) -> dict:
-    return made.document(
-        [
-            {
-                "attributes": {"POSITION": made.add(POINTS * 65535, "u2", normalized=True)},
-                "indices": made.add(FACES.ravel(), "u1"),
-            }
-        ],
-        extensionsRequired=["KHR_mesh_quantization"],
-    )
+    primitive = made.cube(made.add(POINTS * 65535, "u2", normalized=True), "u1")
+    return made.document([primitive], extensionsRequired=["KHR_mesh_quantization"])
 
 
 def integers(made: Gltf) -> dict:
-    primitive = {
-        "attributes": {"POSITION": made.add(POINTS * 100, "i2")},
-        "indices": made.add(FACES.ravel(), "u4"),
-    }
-    return made.document(
-        [primitive], [{"mesh": 0, "scale": [0.01] * 3}], extensionsRequired=["KHR_mesh_quantization"]
-    )
+    nodes = [{"mesh": 0, "scale": [0.01] * 3}]
+    primitive = made.cube(made.add(POINTS * 100, "i2"), "u4")
+    return made.document([primitive], nodes, extensionsRequired=["KHR_mesh_quantization"])
+
+
+def replaced(made: Gltf, which, values) -> dict:
+    """Return the entry `sparse` of an accessor whose values `which` are replaced."""
+    where, new = (made.accessors[each]["bufferView"] for each in (made.add(which, "u1"), made.add(values)))
+    indices = {"bufferView": where, "componentType": 5121}
+    return {"count": len(which), "indices": indices, "values": {"bufferView": new}}
 
 
 def sparse(made: Gltf) -> dict:
-    primitive = made.cube()
     wrong = POINTS.copy()
     wrong[[1, 6]] = 9
-    where, new = made.add([1, 6], "u1"), made.add(POINTS[[1, 6]])
-    primitive["attributes"]["POSITION"] = made.add(
-        wrong,
-        sparse={
-            "count": 2,
-            "indices": {"bufferView": made.accessors[where]["bufferView"], "componentType": 5121},
-            "values": {"bufferView": made.accessors[new]["bufferView"]},
-        },
-    )
-    return primitive
+    return made.cube(made.add(wrong, sparse=replaced(made, [1, 6], POINTS[[1, 6]])))
 
 
 def sparse_alone(made: Gltf) -> dict:
-    primitive = sparse(made)
-    accessor = made.accessors[primitive["attributes"]["POSITION"]]
-    del accessor["bufferView"]
-    where, new = made.add(np.arange(1, 8), "u1"), made.add(POINTS[1:])
-    accessor["sparse"] = {
-        "count": 7,
-        "indices": {"bufferView": made.accessors[where]["bufferView"], "componentType": 5121},
-        "values": {"bufferView": made.accessors[new]["bufferView"]},
-    }
-    return primitive
+    position = made.add(POINTS, sparse=replaced(made, range(1, 8), POINTS[1:]))
+    del made.accessors[position]["bufferView"]
+    return made.cube(position)
 
 
 def interleaved(made: Gltf) -> dict:
     rows = np.concatenate([POINTS, POINTS * 7], axis=1).astype("<f4")
-    view = made.view(rows.tobytes(), byteStride=24)
-    primitive = made.cube()
-    made.accessors[primitive["attributes"]["POSITION"]]["bufferView"] = view
-    return primitive
+    return made.cube(made.add(POINTS, bufferView=made.view(rows.tobytes(), byteStride=24)))
 
 
 def mode(number: int, runs, indexed: bool = True) -> Callable[[Gltf], dict]:
@@ -196,9 +145,8 @@ def mode(number: int, runs, indexed: bool = True) -> Callable[[Gltf], dict]:
 
 
 def beside(number: int) -> Callable[[Gltf], dict]:
-    return lambda made: made.document(
-        [made.cube(), {"attributes": {"POSITION": made.add(POINTS)}, "mode": number}]
-    )
+    other = {"mode": number}
+    return lambda made: made.document([made.cube(), {"attributes": {"POSITION": made.add(POINTS)}} | other])
 
 
 def placed(*nodes: dict, **more) -> Callable[[Gltf], dict]:
@@ -227,12 +175,8 @@ def skinned(made: Gltf) -> dict:
     primitive["attributes"] |= moved
     bind = np.eye(4)
     bind[:3, 3] = -3
-    nodes = [
-        {"children": [1, 2, 3]},
-        {"mesh": 0, "skin": 0, "translation": [50, 0, 0]},
-        {"translation": [3, 3, 3]},
-        {"translation": [3, 3, 3]},
-    ]
+    joint = {"translation": [3, 3, 3]}
+    nodes = [{"children": [1, 2, 3]}, {"mesh": 0, "skin": 0, "translation": [50, 0, 0]}, joint, joint]
     skin = {"joints": [2, 3], "inverseBindMatrices": made.add([bind.T.ravel()] * 2)}
     return made.document([primitive], nodes, skins=[skin])
 
@@ -240,10 +184,8 @@ def skinned(made: Gltf) -> dict:
 def draco(made: Gltf) -> dict:
     import DracoPy
 
-    packed = made.view(
-        DracoPy.encode(POINTS, FACES.astype(np.uint32), quantization_bits=14, preserve_order=True)
-    )
-    extension = {"bufferView": packed, "attributes": {"POSITION": 0}}
+    packed = DracoPy.encode(POINTS, FACES.astype(np.uint32), quantization_bits=14, preserve_order=True)
+    extension = {"bufferView": made.view(packed), "attributes": {"POSITION": 0}}
     primitive = made.cube(extensions={"KHR_draco_mesh_compression": extension})
     for accessor in made.accessors:
         del accessor["bufferView"]
@@ -253,85 +195,57 @@ def draco(made: Gltf) -> dict:
 def meshopt(made: Gltf) -> dict:
     primitive = made.cube()
     made.views[0] |= {"buffer": 1, "extensions": {"EXT_meshopt_compression": {"buffer": 0, "byteLength": 96}}}
-    return made.document(
-        [primitive],
-        extensionsRequired=["EXT_meshopt_compression"],
-        buffers=[{"byteLength": 0}, {"byteLength": 96}],
-    )
+    buffers = [{"byteLength": 0}, {"byteLength": 96}]
+    return made.document([primitive], extensionsRequired=["EXT_meshopt_compression"], buffers=buffers)
 
 
 def separate(name: str, uri: str, there: bool = True) -> Feature:
-    """A .gltf with its buffer in a file, or in a data URI where `name` is empty."""
+    """A .gltf with its buffer in a file, or in a data URI."""
 
     def write(folder: Path) -> Path:
         made = Gltf()
         document = made.document()
-        document["buffers"] = [{"byteLength": len(made.data), "uri": uri}]
-        if uri == "data":
-            document["buffers"][0]["uri"] = (
-                "data:application/octet-stream;base64," + base64.b64encode(made.data).decode()
-            )
-        elif there:
+        if there:
             (folder / "my cube.bin").write_bytes(made.data)
+        inline = "data:application/octet-stream;base64," + base64.b64encode(made.data).decode()
+        document["buffers"] = [{"byteLength": len(made.data), "uri": inline if uri == "data" else uri}]
         (folder / "cube.gltf").write_text(json.dumps(document))
         return folder / "cube.gltf"
 
     return Feature("glTF, GLB", name, write, "" if there else "its buffer gone.bin is not in the folder")
 
 
+def lines(rows, first: str = "") -> str:
+    """Return numbers as lines of text."""
+    return "".join(first + " ".join(f"{x:g}" for x in row) + "\n" for row in rows)
+
+
 STRIPS = [(0, 1, 2, 3), (6, 7, 4, 5), (4, 5, 0, 1), (2, 3, 6, 7), (4, 0, 6, 2), (1, 5, 3, 7)]
-TRIANGLES = "\n".join("f " + " ".join(str(i + 1) for i in face) for face in FACES)
-VERTICES = "\n".join(f"v {x:g} {y:g} {z:g}" for x, y, z in POINTS)
-OBJ = f"{VERTICES}\n{TRIANGLES}\n"
-POLYGONS = "\n".join("f " + " ".join(str(i + 1) for i in quad) for quad in QUADS)
+VERTICES, POLYGONS = lines(POINTS, "v "), lines(np.array(QUADS) + 1, "f ")
+OBJ = VERTICES + lines(FACES + 1, "f ")
+PARTS = "".join(lines(POINTS + [2 * n, 0, 0], "v ") + lines(FACES - 8, "f ") for n in range(3))
 # A prism over an L: two concave faces.
 ELL = np.array([[0, 0], [1, 0], [1, 0.5], [0.5, 0.5], [0.5, 1], [0, 1]])
-ELL_OBJ = (
-    "\n".join(f"v {x} {y} {z}" for z in (0, 1) for x, y in ELL)
-    + "\n"
-    + "\n".join(f"f {i + 1} {(i + 1) % 6 + 1} {(i + 1) % 6 + 7} {i + 7}" for i in range(6))
-)
-PARTS = "\n".join(
-    "\n".join(f"v {x + 2 * n:g} {y:g} {z:g}" for x, y, z in POINTS)
-    + "\n"
-    + "\n".join("f " + " ".join(str(i - 8) for i in face) for face in FACES)
-    for n in range(3)
-)
+SIDES = [(i + 1, (i + 1) % 6 + 1, (i + 1) % 6 + 7, i + 7) for i in range(6)]
+ELL_OBJ = "".join(lines(np.insert(ELL, 2, z, axis=1), "v ") for z in (0, 1)) + lines(SIDES, "f ")
+STRIP = [each for run in STRIPS for each in (*run, -1)]
+MIXED = [tuple(QUADS[0]), tuple(QUADS[1]), *map(tuple, FACES[4:])]
 
 
 def ply(
-    form: str = "ascii",
-    faces=FACES,
-    head: str = "",
-    end: str = "",
-    points: str = "",
-    element: str = "face",
-    size: str = "uchar",
-    data: bytes | None = None,
-    tail: str = "",
-    number: int = 8,
-) -> bytes:
-    rows = points or "\n".join(" ".join(f"{x:g}" for x in point) for point in POINTS)
-    header = (
-        f"ply\nformat {form} 1.0\ncomment unit cube\nelement vertex {number}\n"
-        + "".join(f"property float {axis}\n" for axis in "xyz")
-        + head
-        + f"element {element} {len(faces)}\nproperty list {size} int vertex_indices\n{tail}end_header\n"
-    )
-    if data is not None:
-        return header.encode() + data
-    return (
-        header + rows + "\n" + "\n".join(f"{len(f)} " + " ".join(map(str, f)) for f in faces) + "\n" + end
-    ).encode()
+    form: str = "ascii", faces=FACES, points: str = lines(POINTS), number: int = 8, element: str = "face",
+    size: str = "uchar", head: str = "", end: str = "", data: bytes | None = None,
+) -> bytes:  # fmt: skip
+    header = f"ply\nformat {form} 1.0\ncomment unit cube\nelement vertex {number}\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + head
+    header += f"element {element} {len(faces)}\nproperty list {size} int vertex_indices\nend_header\n"
+    rows = points + lines((len(face), *face) for face in faces) + end
+    return header.encode() + (rows.encode() if data is None else data)
 
 
-def binary(order: str, faces) -> bytes:
+def binary(order: str, faces=FACES) -> bytes:
     rows = b"".join(struct.pack(f"{order}B{len(face)}i", len(face), *face) for face in faces)
     return POINTS.astype(order + "f4").tobytes() + rows
-
-
-STRIP = [each for run in STRIPS for each in (*run, -1)]
-MIXED = [tuple(QUADS[0]), tuple(QUADS[1]), *map(tuple, FACES[4:])]
 
 
 def stl(count: int = 12, head: bytes = b"unit cube", end: bytes = b"", named: int = 12) -> bytes:
@@ -339,23 +253,12 @@ def stl(count: int = 12, head: bytes = b"unit cube", end: bytes = b"", named: in
     return head.ljust(80) + struct.pack("<I", named) + rows + end
 
 
-STL_TEXT = (
-    "solid unit cube\n"
-    + "".join(
-        "facet normal 0 0 0\n outer loop\n"
-        + "".join("  vertex {:g} {:g} {:e}\n".format(*POINTS[i]) for i in face)
-        + " endloop\nendfacet\n"
-        for face in FACES
-    )
-    + "endsolid unit cube\n"
+FACETS = "".join(
+    f"facet normal 0 0 0\n outer loop\n{lines(POINTS[face], '  vertex ')} endloop\nendfacet\n"
+    for face in FACES
 )
-OFF = (
-    "8 12 0\n"
-    + "\n".join(" ".join(f"{x:g}" for x in p) for p in POINTS)
-    + "\n"
-    + "\n".join("3 " + " ".join(map(str, face)) for face in FACES)
-    + "\n"
-)
+STL_TEXT = f"solid unit cube\n{FACETS}endsolid unit cube\n".replace(" 1\n", " 1e+00\n")
+OFF = "8 12 0\n" + lines(POINTS) + lines(FACES, "3 ")
 
 
 def zipped(*names: str) -> Callable[[Path], Path]:
@@ -368,6 +271,95 @@ def zipped(*names: str) -> Callable[[Path], Path]:
     return write
 
 
+def written(content: str | bytes, file: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / file).write_bytes(content if isinstance(content, bytes) else content.encode())
+        return folder / file
+
+    return write
+
+
+AWAY, SCENES = {"mesh": 0, "translation": [4, 0, 0]}, [{"nodes": [1]}, {"nodes": [0]}]
+TURNED = {"mesh": 0, "scale": [0.5, 1, 0.25], "rotation": [0, 0, 0, 1]}
+MIRROR = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 1]
+INVISIBLE = {"KHR_node_visibility": {"visible": False}}
+SLASHES = OBJ.replace("\nf", "\nvt 0 0\nvn 0 0 1\nf", 1).replace("f 1 ", "f 1/1/1 ")
+COLOURED = ply(
+    head="property uchar red\nelement edge 1\nproperty int a\nproperty int b\n",
+    points=lines(POINTS).replace("\n", " 200\n") + "0 1\n",
+)
+# Of each file its content, words of the sentence that refuses it, and how many cubes it holds if not one.
+FILES: dict[str, dict[str, Any]] = {
+    "OBJ": {
+        "triangles": OBJ,
+        "byte-order mark": b"\xef\xbb\xbf" + OBJ.encode(),
+        "UTF-16": OBJ.encode("utf-16"),
+        "Windows line ends": OBJ.replace("\n", "\r\n"),
+        "old Mac line ends": OBJ.replace("\n", "\r"),
+        "tabs and blanks": OBJ.replace(" ", "\t  ").replace("\n", " \t\n\n"),
+        "comments after values": OBJ.replace("\n", " # a comment\n"),
+        "lines continued by a backslash": OBJ.replace("f 1 ", "f 1 \\\n "),
+        "texture and normal indices": SLASHES.replace("f 2 ", "f 2//1 ").replace("f 3 ", "f 3/1 "),
+        "colours after positions": OBJ.replace("\nf", " \nf").replace("\nv", " .1 .2 .3\nv"),
+        "numbers such as 8.0 for 8": OBJ.replace("f 1 ", "f 1.0 "),
+        "negative indices across parts": (PARTS, "", 3),
+        "quads": VERTICES + POLYGONS,
+        "concave polygons": (f"{ELL_OBJ}f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n", "", 0),
+        "polygon that crosses itself": (OBJ + "f 1 2 3 4\n", "crosses itself"),
+        "points and lines beside faces: left out": OBJ + "p 1 2\nl 1 2 3\n",
+        "unused vertices": OBJ.replace("\nf", "\nv nan 0 0\nf", 1),
+        "free-form surfaces": (OBJ + "surf 0 1 0 1 1 2 3 4\n", "free-form surfaces (surf)"),
+        "other files taken in (call)": (OBJ + "call more.obj\n", "takes in other files (call)"),
+        "cut off within a face": (OBJ + "f 1 2", "cut off at line 21"),
+        "index 0": (OBJ + "f 0 1 2\n", "refers to vertex 0"),
+        "decimal commas": (OBJ.replace("v 1 ", "v 1,0 "), "1,0"),
+    },
+    "PLY": {
+        "text": ply(),
+        "text, blank lines, tabs, Windows line ends": (
+            ply().replace(b" 0", b"\t0 ").replace(b"\n", b"\r\n\r\n"),
+        ),
+        "text, old Mac line ends": ply().replace(b"\n", b"\r"),
+        "text, 3.0 for 3": ply().replace(b"\n3 ", b"\n3.0 "),
+        "binary, little endian": ply("binary_little_endian", data=binary("<")),
+        "binary, big endian": ply("binary_big_endian", data=binary(">")),
+        "binary, Windows line ends in the header": (
+            ply("binary_little_endian", data=b"").replace(b"\n", b"\r\n") + binary("<")
+        ),
+        "triangles and quads, text": ply(faces=MIXED),
+        "triangles and quads, binary": ply("binary_little_endian", MIXED, data=binary("<", MIXED)),
+        "triangle strips with -1 between": ply(faces=[STRIP], element="tristrips", size="int"),
+        "more properties and elements": COLOURED,
+        "NaN in points that no face uses": ply(points=lines(POINTS) + "nan nan nan\n", number=9),
+        "range scan without faces": (ply(element="range_grid"), "range scan (range_grid)"),
+        "points alone": (ply(faces=[]), "has no triangles"),
+        "text cut off": (ply()[:-30], "cut off"),
+        "binary cut off": (ply("binary_little_endian", data=binary("<")[:-3]), "cut off"),
+        "more numbers than declared": (ply(end="3 0 1 2\n"), "4 numbers more than it declares"),
+    },
+    "STL": {
+        "binary": stl(),
+        "binary whose header begins with solid": stl(head=b"solid but binary"),
+        "binary with bytes after the triangles": stl(end=b"made by a slicer"),
+        "binary cut off": (stl(count=9), "it declares 12 triangles, and has bytes for 9"),
+        "binary that declares 0 triangles": (stl(named=0), "declares 0 triangles, and more bytes follow"),
+        "text": STL_TEXT,
+        "text, capitals, tabs, Windows line ends": STL_TEXT.upper().replace(" ", "\t").replace("\n", "\r\n"),
+        "text, several solids": STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1),
+        "text cut off": (STL_TEXT[:-60], "cut off before its 'endsolid'"),
+    },
+    "OFF": {
+        "triangles": "OFF\n" + OFF,
+        "counts on the first line, comments, blank lines": "# a cube\nOFF " + OFF.replace("\n", " # x\n\n"),
+        "counts that touch the word OFF": "OFF" + OFF,
+        "no word OFF": OFF,
+        "COFF, colours of points and faces": "COFF\n" + OFF.replace("\n", " 255 0 0 255\n"),
+        "fewer lines than declared": ("OFF\n" + OFF[:-9], "cut off"),
+        "more lines than declared": ("OFF\n" + OFF + "3 0 1 2\n", "has 21 lines"),
+        "binary": ("OFF BINARY\n" + OFF, "only three-dimensional text is read"),
+        "four dimensions": ("4OFF\n" + OFF, "only three-dimensional text is read"),
+    },
+}
 FEATURES: list[Feature] = [
     gltf("triangles, indices of 8, 16, 32 bit"),
     gltf("triangles without indices", mode(4, [FACES.ravel()], indexed=False)),
@@ -383,42 +375,17 @@ FEATURES: list[Feature] = [
     gltf("sparse accessor alone", sparse_alone),
     gltf("normalized integers (KHR_mesh_quantization)", quantized),
     gltf("integers and a scale (KHR_mesh_quantization)", integers),
-    gltf(
-        "nodes in nodes, one mesh twice",
-        placed({"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [4, 0, 0]}),
-        cubes=2,
-    ),
-    gltf(
-        "rotation and scale",
-        placed(
-            {"scale": [2, 1, 4], "children": [1]},
-            {"mesh": 0, "scale": [0.5, 1, 0.25], "rotation": [0, 0, 0, 1]},
-        ),
-    ),
-    gltf(
-        "matrix that mirrors: winding kept outward",
-        placed({"mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 1]}),
-    ),
-    gltf(
-        "several scenes: the one that is shown",
-        placed(
-            {"mesh": 0},
-            {"mesh": 0, "translation": [9, 0, 0]},
-            scenes=[{"nodes": [1]}, {"nodes": [0]}],
-            scene=1,
-        ),
-    ),
+    gltf("nodes in nodes, one mesh twice", placed({"children": [1, 2]}, {"mesh": 0}, AWAY), cubes=2),
+    gltf("rotation and scale", placed({"scale": [2, 1, 4], "children": [1]}, TURNED)),
+    gltf("matrix that mirrors: winding kept outward", placed({"mesh": 0, "matrix": MIRROR})),
+    gltf("several scenes: the one that is shown", placed({"mesh": 0}, AWAY, scenes=SCENES, scene=1)),
     gltf(
         "no scene: all nodes",
         lambda made: {key: value for key, value in made.document().items() if key not in ("scene", "scenes")},
     ),
     gltf(
         "invisible nodes (KHR_node_visibility): left out",
-        placed(
-            {"children": [1, 2]},
-            {"mesh": 0},
-            {"mesh": 0, "translation": [4, 0, 0], "extensions": {"KHR_node_visibility": {"visible": False}}},
-        ),
+        placed({"children": [1, 2]}, {"mesh": 0}, AWAY | {"extensions": INVISIBLE}),
     ),
     gltf("instances (EXT_mesh_gpu_instancing)", instanced, cubes=3),
     gltf("morph targets, at their default weights", morphed),
@@ -450,102 +417,15 @@ FEATURES: list[Feature] = [
     separate("buffer in a file, %20 in its name", "my%20cube.bin"),
     separate("buffer in a data URI", "data"),
     separate("missing buffer", "gone.bin", there=False),
-    text("OBJ", "triangles", OBJ),
-    text("OBJ", "byte-order mark", b"\xef\xbb\xbf" + OBJ.encode()),
-    text("OBJ", "UTF-16", OBJ.encode("utf-16")),
-    text("OBJ", "Windows line ends", OBJ.replace("\n", "\r\n")),
-    text("OBJ", "old Mac line ends", OBJ.replace("\n", "\r")),
-    text("OBJ", "tabs and blanks", OBJ.replace(" ", "\t  ").replace("\n", " \t\n\n")),
-    text("OBJ", "comments after values", OBJ.replace("\n", " # a comment\n")),
-    text("OBJ", "lines continued by a backslash", OBJ.replace("f 1 ", "f 1 \\\n ")),
-    text(
-        "OBJ",
-        "texture and normal indices",
-        OBJ.replace("\nf", "\nvt 0 0\nvn 0 0 1\nf", 1)
-        .replace("f 1 ", "f 1/1/1 ")
-        .replace("f 2 ", "f 2//1 ")
-        .replace("f 3 ", "f 3/1 "),
+    *(
+        Feature(kind, name, written(each[0], f"cube.{kind.lower()}"), *each[1:])
+        for kind, files in FILES.items()
+        for name, content in files.items()
+        for each in [content if isinstance(content, tuple) else (content,)]
     ),
-    text("OBJ", "colours after positions", OBJ.replace("\nf", " \nf").replace("\nv", " .1 .2 .3\nv")),
-    text("OBJ", "numbers such as 8.0 for 8", OBJ.replace("f 1 ", "f 1.0 ")),
-    text("OBJ", "negative indices across parts", PARTS, cubes=3),
-    text("OBJ", "quads", f"{VERTICES}\n{POLYGONS}\n"),
-    text("OBJ", "concave polygons", f"{ELL_OBJ}\nf 6 5 4 3 2 1\nf 7 8 9 10 11 12\n", cubes=0),
-    text("OBJ", "polygon that crosses itself", f"{VERTICES}\n{TRIANGLES}\nf 1 2 3 4\n", "crosses itself"),
-    text("OBJ", "points and lines beside faces: left out", OBJ + "p 1 2\nl 1 2 3\n"),
-    text("OBJ", "unused vertices", OBJ.replace("\nf", "\nv nan 0 0\nf", 1)),
-    text("OBJ", "free-form surfaces", OBJ + "surf 0 1 0 1 1 2 3 4\n", "free-form surfaces (surf)"),
-    text("OBJ", "other files taken in (call)", OBJ + "call more.obj\n", "takes in other files (call)"),
-    text("OBJ", "cut off within a face", OBJ + "f 1 2", "cut off at line 21"),
-    text("OBJ", "index 0", OBJ + "f 0 1 2\n", "refers to vertex 0"),
-    text("OBJ", "decimal commas", OBJ.replace("v 1 ", "v 1,0 "), "1,0"),
-    text("PLY", "text", ply()),
-    text(
-        "PLY",
-        "text, blank lines, tabs, Windows line ends",
-        ply().replace(b" 0", b"\t0 ").replace(b"\n", b"\r\n\r\n"),
-    ),
-    text("PLY", "text, old Mac line ends", ply().replace(b"\n", b"\r")),
-    text("PLY", "text, 3.0 for 3", ply().replace(b"\n3 ", b"\n3.0 ")),
-    text("PLY", "binary, little endian", ply("binary_little_endian", data=binary("<", FACES))),
-    text("PLY", "binary, big endian", ply("binary_big_endian", data=binary(">", FACES))),
-    text(
-        "PLY",
-        "binary, Windows line ends in the header",
-        ply("binary_little_endian", data=b"").replace(b"\n", b"\r\n") + binary("<", FACES),
-    ),
-    text("PLY", "triangles and quads, text", ply(faces=MIXED)),
-    text("PLY", "triangles and quads, binary", ply("binary_little_endian", MIXED, data=binary("<", MIXED))),
-    text("PLY", "triangle strips with -1 between", ply(faces=[STRIP], element="tristrips", size="int")),
-    text(
-        "PLY",
-        "more properties and elements",
-        ply(
-            head="property uchar red\nelement edge 1\nproperty int a\nproperty int b\n",
-            points="\n".join(" ".join(f"{x:g}" for x in p) + " 200" for p in POINTS) + "\n0 1",
-        ),
-    ),
-    text(
-        "PLY",
-        "NaN in points that no face uses",
-        ply(points="\n".join(" ".join(f"{x:g}" for x in p) for p in POINTS) + "\nnan nan nan", number=9),
-    ),
-    text("PLY", "range scan without faces", ply(element="range_grid"), "range scan (range_grid)"),
-    text("PLY", "points alone", ply(faces=[]), "has no triangles"),
-    text("PLY", "text cut off", ply()[:-30], "cut off"),
-    text("PLY", "binary cut off", ply("binary_little_endian", data=binary("<", FACES)[:-3]), "cut off"),
-    text("PLY", "more numbers than declared", ply(end="3 0 1 2\n"), "4 numbers more than it declares"),
-    text("STL", "binary", stl()),
-    text("STL", "binary whose header begins with solid", stl(head=b"solid but binary")),
-    text("STL", "binary with bytes after the triangles", stl(end=b"made by a slicer")),
-    text("STL", "binary cut off", stl(count=9), "it declares 12 triangles, and has bytes for 9"),
-    text(
-        "STL", "binary that declares 0 triangles", stl(named=0), "declares 0 triangles, and more bytes follow"
-    ),
-    text("STL", "text", STL_TEXT),
-    text(
-        "STL",
-        "text, capitals, tabs, Windows line ends",
-        STL_TEXT.upper().replace(" ", "\t").replace("\n", "\r\n"),
-    ),
-    text("STL", "text, several solids", STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1)),
-    text("STL", "text cut off", STL_TEXT[:-60], "cut off before its 'endsolid'"),
-    text("OFF", "triangles", "OFF\n" + OFF),
-    text(
-        "OFF",
-        "counts on the first line, comments, blank lines",
-        "# a cube\nOFF " + OFF.replace("\n", " # x\n\n"),
-    ),
-    text("OFF", "counts that touch the word OFF", "OFF" + OFF),
-    text("OFF", "no word OFF", OFF),
-    text("OFF", "COFF, colours of points and faces", "COFF\n" + OFF.replace("\n", " 255 0 0 255\n")),
-    text("OFF", "fewer lines than declared", "OFF\n" + OFF[:-9], "cut off"),
-    text("OFF", "more lines than declared", "OFF\n" + OFF + "3 0 1 2\n", "has 21 lines"),
-    text("OFF", "binary", "OFF BINARY\n" + OFF, "only three-dimensional text is read"),
-    text("OFF", "four dimensions", "4OFF\n" + OFF, "only three-dimensional text is read"),
     Feature("zip", "one mesh", zipped("a/cube.obj", "readme.txt", "__MACOSX/a/cube.obj")),
     Feature("zip", "several meshes", zipped("a.obj", "b.obj"), "holds 2 meshes"),
-    text("other", "3MF, DAE, FBX, STEP, USD …", b"PK", "no mesh format that is read", file="cube.3mf"),
+    Feature("other", "3MF, DAE, FBX, STEP, USD …", written(b"PK", "cube.3mf"), "no mesh format that is read"),
 ]
 
 
