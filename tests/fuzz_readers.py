@@ -29,6 +29,7 @@ from PIL import ExifTags, Image
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.randomness import stream
+from tests.colmap_text import write_text_model
 from tests.fuzz_mutations import (
     Mutation,
     mutate_bytes,
@@ -76,7 +77,7 @@ def _scenes(folder: Path) -> dict[str, Sample]:
     found = {}
     for kind, words in (("bin", False), ("txt", True)):
         place = folder / kind
-        write_model(model, place, binary=not words)
+        (write_text_model if words else write_model)(model, place)
         for name in ("cameras", "images", "points3D"):
             mutations = (mutate_bytes, mutate_words) if words else (mutate_bytes,)
             file = place / f"{name}.{kind}"

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from paper_artifact.errors import InputError
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, write_model
+from tests.colmap_text import write_text_model
 
 finite = st.floats(-1e6, 1e6)
 positive = st.floats(1e-3, 1e6)
@@ -70,13 +71,13 @@ def assert_equal(first: Model, second: Model) -> None:
 @given(models())
 def test_text_and_binary_hold_the_same_model_exactly(tmp_path_factory, model):
     folder = tmp_path_factory.mktemp("colmap")
-    write_model(model, folder / "text", binary=False)
+    write_text_model(model, folder / "text")
     from_text = read_model(folder / "text")
     assert_equal(from_text, model)
     write_model(from_text, folder / "binary")
     from_binary = read_model(folder / "binary")
     assert_equal(from_binary, model)
-    write_model(from_binary, folder / "again", binary=False)
+    write_text_model(from_binary, folder / "again")
     for name in ("cameras.txt", "images.txt", "points3D.txt"):
         assert (folder / "again" / name).read_text() == (folder / "text" / name).read_text()
 

@@ -17,9 +17,10 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder, scene_key
-from paper_artifact.scene.colmap import read_model, write_model
+from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.load import load_ground_truth, load_scene
 from paper_artifact.scene.shapes import make_shape
+from tests.colmap_text import write_text_model
 
 SMALL = SceneConfig(views=10, size=24, supersample=2, points=400)
 
@@ -145,7 +146,7 @@ def test_a_foreign_scene_in_text_with_transparent_images(damaged):
     model = read_model(damaged / "sparse" / "0")
     for file in (damaged / "sparse" / "0").iterdir():
         file.unlink()
-    write_model(model, damaged / "sparse" / "0", binary=False)
+    write_text_model(model, damaged / "sparse" / "0")
     for file in (damaged / "images").iterdir():
         pixels = np.asarray(Image.open(file))
         Image.fromarray(np.dstack([pixels, np.zeros(pixels.shape[:2], np.uint8)])).save(file)

@@ -277,7 +277,7 @@ def test_what_to_try_next_lies_between_too_many_handles_and_too_few():
             Rung(0.02 + 0.01 * place, (1, 2 * genus, 1), genus, 0.4, 0, 0, (1, 1, 1))
             for place, genus in enumerate(genera)
         ]
-        return SoupSolid(tuple(rungs), wanted_of((1, 2, 1)), True, 1.0)
+        return SoupSolid(tuple(rungs), wanted_of((1, 2, 1)), None, 1.0)
 
     assert "--offsets 0.032,0.034,0.036,0.038, or" in offset_table(solid(9, 3, 0))
     assert "--offsets 0.05,0.06,0.08,0.1,0.12, or" in offset_table(solid(9, 3, 2))

@@ -20,7 +20,7 @@ import numpy as np
 from paper_artifact.alpha.predicates import orient3d_filter
 from paper_artifact.certify.homology import edges_of
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.distance import Boxes, Nearest, cells_of, file_boxes, nearest_on
+from paper_artifact.ingest.distance import Boxes, Nearest, file_boxes, items_near, nearest_on
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
 
@@ -106,27 +106,14 @@ def _meetings(
     for edge in range(len(edges)):
         p, q = edges[edge, 0], edges[edge, 1]
         low, high = np.minimum(points[p], points[q]), np.maximum(points[p], points[q])
-        first, last = cells_of(low, high, boxes.origin, boxes.cell, boxes.shape)
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                for k in range(first[2], last[2] + 1):
-                    place = (i * boxes.shape[1] + j) * boxes.shape[2] + k
-                    for n in range(boxes.start[place], boxes.start[place + 1]):
-                        face = boxes.items[n]
-                        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-                        if p in (a, b, c) or q in (a, b, c):
-                            continue
-                        if (
-                            boxes.low[face, 0] > high[0]
-                            or boxes.high[face, 0] < low[0]
-                            or boxes.low[face, 1] > high[1]
-                            or boxes.high[face, 1] < low[1]
-                            or boxes.low[face, 2] > high[2]
-                            or boxes.high[face, 2] < low[2]
-                        ):
-                            continue
-                        if not _apart(points, p, q, a, b, c):
-                            meets[edge] = met[face] = True
+        for face in items_near(boxes, low, high):
+            a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+            if p in (a, b, c) or q in (a, b, c):
+                continue
+            if (boxes.low[face] > high).any() or (boxes.high[face] < low).any():
+                continue
+            if not _apart(points, p, q, a, b, c):
+                meets[edge] = met[face] = True
     return meets, met
 
 

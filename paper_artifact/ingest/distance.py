@@ -56,6 +56,24 @@ def cells_of(low, high, origin, cell, shape):
 
 
 @njit(cache=True)
+def items_near(boxes, low, high):
+    """Return the boxes (n,) int64 filed in the cells that the box from `low` to `high` meets, some several
+    times."""
+    first, last = cells_of(low, high, boxes.origin, boxes.cell, boxes.shape)
+    found, count = np.empty(64, np.int64), 0
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            for k in range(first[2], last[2] + 1):
+                place = (i * boxes.shape[1] + j) * boxes.shape[2] + k
+                begin, end = boxes.start[place], boxes.start[place + 1]
+                if count + end - begin > len(found):
+                    found = np.concatenate((found, np.empty(len(found) + end - begin, np.int64)))
+                found[count : count + end - begin] = boxes.items[begin:end]
+                count += end - begin
+    return found[:count]
+
+
+@njit(cache=True)
 def _file(low, high, origin, cell, shape):
     start = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
     items = np.empty(0, dtype=np.int64)
@@ -212,25 +230,17 @@ def _nearest(points: np.ndarray, soup: np.ndarray, within: float, boxes: Boxes) 
     result = np.full(len(points), -1)
     for n in range(len(points)):
         point, best = points[n], within * within
-        first, last = cells_of(point - within, point + within, boxes.origin, boxes.cell, boxes.shape)
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                for k in range(first[2], last[2] + 1):
-                    place = (i * boxes.shape[1] + j) * boxes.shape[2] + k
-                    for position in range(boxes.start[place], boxes.start[place + 1]):
-                        item = boxes.items[position]
-                        outside = 0.0
-                        for axis in range(3):
-                            gap = max(
-                                boxes.low[item, axis] - point[axis], point[axis] - boxes.high[item, axis], 0.0
-                            )
-                            outside += gap * gap
-                        if outside > best:
-                            continue
-                        squared = squared_distance(point, soup[item, 0], soup[item, 1], soup[item, 2])
-                        if squared < best or (squared == best and (result[n] < 0 or item < result[n])):
-                            best = squared
-                            result[n] = item
+        for item in items_near(boxes, point - within, point + within):
+            outside = 0.0
+            for axis in range(3):
+                gap = max(boxes.low[item, axis] - point[axis], point[axis] - boxes.high[item, axis], 0.0)
+                outside += gap * gap
+            if outside > best:
+                continue
+            squared = squared_distance(point, soup[item, 0], soup[item, 1], soup[item, 2])
+            if squared < best or (squared == best and (result[n] < 0 or item < result[n])):
+                best = squared
+                result[n] = item
     return result
 
 

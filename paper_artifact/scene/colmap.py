@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -150,16 +150,13 @@ def model_files(folder: Path | str) -> list[Path]:
     return paths
 
 
-def write_model(model: Model, folder: Path | str, binary: bool = True) -> None:
-    """Write the model's three files into `folder`, binary or text, each atomically; floats are exact.
+def write_model(model: Model, folder: Path | str) -> None:
+    """Write the model's three binary files into `folder`, each atomically; floats are exact.
 
     Raises InputError when the folder is not writable.
     """
-    writers = _BINARY_WRITERS if binary else _TEXT_WRITERS
-    for name, writer in zip(FILES, writers, strict=True):
-        content: Any = writer(model)
-        path = Path(folder) / (name + (".bin" if binary else ".txt"))
-        write_bytes(path, content if binary else os.fsencode(content))
+    for name, writer in zip(FILES, (_cameras_binary, _images_binary, _points_binary), strict=True):
+        write_bytes(Path(folder) / f"{name}.bin", writer(model))
 
 
 class _Bytes:
@@ -330,7 +327,7 @@ def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
     )
 
 
-def _write_cameras_binary(model: Model) -> bytes:
+def _cameras_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.cameras)) + b"".join(
         struct.pack(
             f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters
@@ -339,7 +336,7 @@ def _write_cameras_binary(model: Model) -> bytes:
     )
 
 
-def _write_images_binary(model: Model) -> bytes:
+def _images_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.images)) + b"".join(
         struct.pack("<I7dI", image, *p.quaternion, *p.translation, p.camera)
         + os.fsencode(p.name)
@@ -349,51 +346,13 @@ def _write_images_binary(model: Model) -> bytes:
     )
 
 
-def _write_points_binary(model: Model) -> bytes:
-    return struct.pack("<Q", len(model.point_ids)) + b"".join(
-        struct.pack("<Q3d3BdQ", point, *xyz, *rgb, error, 0) for point, xyz, rgb, error in _point_rows(model)
-    )
-
-
-def _write_cameras_text(model: Model) -> str:
-    rows = [
-        f"{camera} {c.model} {c.width} {c.height} {_exact(c.parameters)}"
-        for camera, c in model.cameras.items()
-    ]
-    return "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows]) + "\n"
-
-
-def _write_images_text(model: Model) -> str:
-    rows = [
-        f"{image} {_exact(p.quaternion + p.translation)} {p.camera} {p.name}\n"
-        for image, p in model.images.items()
-    ]
-    return (
-        "\n".join(
-            ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[]", *rows]
-        )
-        + "\n"
-    )
-
-
-def _write_points_text(model: Model) -> str:
-    rows = [
-        f"{point} {_exact(xyz)} {' '.join(map(str, rgb))} {_exact([error])}"
-        for point, xyz, rgb, error in _point_rows(model)
-    ]
-    return "\n".join(["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]", *rows]) + "\n"
-
-
-def _exact(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
-def _point_rows(model: Model) -> zip:
+def _points_binary(model: Model) -> bytes:
     columns = (model.point_ids, model.positions, model.colours, model.errors)
-    return zip(*(column.tolist() for column in columns), strict=True)
+    return struct.pack("<Q", len(model.point_ids)) + b"".join(
+        struct.pack("<Q3d3BdQ", point, *xyz, *rgb, error, 0)
+        for point, xyz, rgb, error in zip(*(column.tolist() for column in columns), strict=True)
+    )
 
 
 _BINARY_READERS = (_read_cameras_binary, _read_images_binary, _read_points_binary)
 _TEXT_READERS = (_read_cameras_text, _read_images_text, _read_points_text)
-_BINARY_WRITERS = (_write_cameras_binary, _write_images_binary, _write_points_binary)
-_TEXT_WRITERS = (_write_cameras_text, _write_images_text, _write_points_text)
