@@ -63,11 +63,10 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
         )
     rows: dict[Any, dict[str, Any]] = {}
     for shape, own in runs.groupby("shape", observed=True):
-        tails = {name: group["tail"].to_numpy() for name, group in own.groupby("condition", observed=True)}
-        groups = own.groupby("condition", observed=True)
-        chamfer = (
-            {name: group["chamfer"].to_numpy().mean() for name, group in groups} if "chamfer" in own else {}
-        )
+        groups = dict(iter(own.groupby("condition", observed=True)))
+        tails = {name: group["tail"].to_numpy() for name, group in groups.items()}
+        known = groups if "chamfer" in own else {}
+        chamfer = {name: group["chamfer"].to_numpy().mean() for name, group in known.items()}
         parity = chamfer.get(loss, math.nan) / chamfer.get(BASELINE, math.nan)
         present = [name for name in controls if name in tails]
         absent = [name for name in (BASELINE, loss) if name not in tails] + ([] if present else [controls[0]])
@@ -77,13 +76,8 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
         outcome, reason = _outcome(loss, tails, present, parity)
         ratio = tails[BASELINE].mean() / tails[loss].mean() if tails[loss].mean() > 0 else math.inf
         sigma = welch(tails[BASELINE], tails[loss])
-        rows[shape] = {
-            "outcome": outcome,
-            "reason": reason,
-            "ratio": ratio,
-            "chamfer_ratio": parity,
-            "welch": sigma,
-        }
+        rows[shape] = {"outcome": outcome, "reason": reason, "ratio": ratio}
+        rows[shape] |= {"chamfer_ratio": parity, "welch": sigma}
     columns = ["outcome", "reason", "ratio", "chamfer_ratio", "welch"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("shape")
 

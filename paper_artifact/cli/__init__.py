@@ -51,11 +51,11 @@ VERBS: dict[str, tuple[str, str]] = {  # name: (module.function in this folder, 
     ),
     "train": ("runs.train", "train a triangle soup on a scene and write its run record"),
     "evaluate": (
-        "evaluate.evaluate",
+        "soups.evaluate",
         "measure a soup or mesh: diagrams, bottleneck, Chamfer, Hausdorff95, PSNR, SSIM",
     ),
     "export": (
-        "export.export",
+        "soups.export",
         "write a trained soup as PLY, GLB, PNG renders and a self-contained HTML view",
     ),
     "run-all": (

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from paper_artifact.cli.export import Export, export
 from paper_artifact.cli.options import Options, Positional, Source, usage_checked
 from paper_artifact.cli.output import next_command
 from paper_artifact.cli.runs import Train, summary, trained
 from paper_artifact.cli.scenes import registered_text
 from paper_artifact.cli.solids import Solidify, numbers, offset_table, solid_of, written_text
+from paper_artifact.cli.soups import Export, export
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import check_format, write_solid
