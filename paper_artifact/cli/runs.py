@@ -6,7 +6,8 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, get_condition, shape_row, study_config
 from paper_artifact.cli.bars import bar, step_bar
@@ -18,6 +19,9 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
 from paper_artifact.mesh import FEATURES, betti_text
 from paper_artifact.study.studies import STUDIES, study_configs
+
+if TYPE_CHECKING:
+    from paper_artifact.study.sweep import Outcome
 
 ARGUMENTS = ("shape", "condition", "seed", "steps", "loss", "given")  # fields of a RunConfig with an option
 STUDY_NAMES = [*STUDIES]
@@ -46,6 +50,7 @@ class Train(OwnSceneOptions):
     device: cpu, cuda or auto
     threads: CPU threads; the result does not depend on it
     again: run even if there is a record of this configuration
+    verify: train again elsewhere and compare with the record: the same bits, or the first value that differs
     """
 
     shape: Positional[Source | None] = None
@@ -60,6 +65,7 @@ class Train(OwnSceneOptions):
     device: str = "auto"
     threads: Annotated[int, 1] = 1
     again: bool = False
+    verify: bool = False
 
     @property
     def config(self) -> RunConfig:
@@ -152,9 +158,17 @@ def trained(options: Train) -> tuple[dict, Path, Path, bool]:
 
 
 def train(options: Train) -> int:
-    """Train (or find the record) and print the result. Returns 0."""
-    from paper_artifact.pipeline import audit_remarks, closing_notes
+    """Train (or find the record) and print the result. Returns 0, or 1 where --verify finds a difference."""
+    from paper_artifact.pipeline import audit_remarks, closing_notes, results_of
 
+    if options.verify:
+        if options.again:
+            raise WrongUsage("--again replaces the record that --verify compares with; give one of them")
+        config = audited(options.config, [text.partition("=")[0] for text in options.loss])
+        recorded = recorded_runs([config], options.results or results_of(config))
+        with TemporaryDirectory(prefix="verify-") as temporary:
+            _, path, _, _ = trained(replace(options, results=Path(temporary)))
+            return report_differences(recorded, [path])
     record, path, soup, ran = trained(options)
     if not ran:
         print("nothing ran: the record exists already (--again trains anew)")
@@ -176,6 +190,44 @@ def train(options: Train) -> int:
         stated = [] if options.betti is None else ["--betti", options.betti]
         print(next_command("solidify", soup, "--scene", options.scene, *stated, "--out", "mesh.ply"))
     return 0
+
+
+def recorded_runs(configs: Iterable[RunConfig], results: Path) -> list[Path]:
+    """Return the paths of the runs' records. Raises InputError for a run that has none."""
+    from paper_artifact.record.store import recorded_path
+    from paper_artifact.scene.given import called, is_own, resolve
+
+    found = []
+    for config in configs:
+        path = recorded_path(resolve(config).config if is_own(config) else config, results / "runs")
+        if path is None:
+            raise InputError(
+                f"{results / 'runs'} has no record of {called(config)} {config.condition} seed {config.seed} "
+                "with these settings to compare with; leave out --verify to train it"
+            )
+        found.append(path)
+    return found
+
+
+def report_differences(recorded: Iterable[Path], again: Iterable[Path]) -> int:
+    """Print for each record and the record of the same run, made again, whether they hold the same bits.
+    Returns 0 if all do, else 1."""
+    from paper_artifact.record.store import first_difference, read_record
+
+    different = 0
+    for old, new in zip(recorded, again, strict=True):
+        before, after = read_record(old), read_record(new)
+        found = first_difference(before, after)
+        different += found is not None
+        print(f"{old.name}: {found or 'same bits'}")
+        versions = [
+            f"{name} {before['packages'].get(name)}, now {version}"
+            for name, version in after["packages"].items()
+            if before["packages"].get(name) != version
+        ]
+        if versions:
+            print(f"  the record was made with {'; '.join(versions)}")
+    return int(different > 0)
 
 
 def summary(record: dict) -> str:
@@ -226,6 +278,7 @@ class Sweep(OwnSceneOptions):
     betti B0,B1,B2: for T1 and T2, with --scene
     changes/set NAME=VALUE: change any other setting, with --scene
     listing/list: only say what is recorded and what is missing
+    verify: train what is recorded again elsewhere and compare: the same bits, or the first value that differs
     """
 
     study: Positional[str | None] = None
@@ -241,6 +294,7 @@ class Sweep(OwnSceneOptions):
     betti: str | None = None
     changes: list[str] = field(default_factory=list)
     listing: bool = False
+    verify: bool = False
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -281,10 +335,10 @@ class Sweep(OwnSceneOptions):
 
 
 def sweep(options: Sweep) -> int:
-    """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed."""
+    """Run the sweep and report failures at the end. Returns 0, or 1 when a run failed or, with --verify, gave
+    other bits."""
     from paper_artifact.scene.given import is_own
     from paper_artifact.study.sweep import missing, run_name
-    from paper_artifact.study.sweep import sweep as run_sweep
 
     if (options.executor == "dask") != bool(options.scheduler):
         raise WrongUsage("--executor dask and --scheduler ADDRESS belong together; give both or neither")
@@ -296,6 +350,25 @@ def sweep(options: Sweep) -> int:
             print(f"missing: {run_name(config)}")
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
         return 0
+    if options.verify:
+        todo = missing(configs, results)
+        configs = [config for config in configs if config not in todo]
+        recorded = recorded_runs(configs, results)
+        with TemporaryDirectory(prefix="verify-") as temporary:
+            failures = _swept(options, configs, Path(temporary))
+            if failures:
+                return 1
+            different = report_differences(recorded, recorded_runs(configs, Path(temporary)))
+        print(f"{len(configs)} runs compared, {len(todo)} have no record")
+        return different
+    return 1 if _swept(options, configs, results) else 0
+
+
+def _swept(options: Sweep, configs: list[RunConfig], results: Path) -> list[Outcome]:
+    """Make the runs that have no record in results/runs, print how it went, and return what failed."""
+    from paper_artifact.study.sweep import run_name
+    from paper_artifact.study.sweep import sweep as run_sweep
+
     # Without tqdm's own time left, which knows nothing of the steps.
     layout = "{desc} |{bar:20}| {n_fmt}/{total_fmt} runs [{elapsed}]"
     with bar(total=1, disable=options.quiet, bar_format=layout) as line:
@@ -319,4 +392,4 @@ def sweep(options: Sweep) -> int:
     print(f"{len(outcomes) - len(failures)} runs done, {before} were recorded before, {len(failures)} failed")
     for outcome in failures:
         print(f"  {run_name(outcome.config)}: {outcome.failure}")
-    return 1 if failures else 0
+    return failures

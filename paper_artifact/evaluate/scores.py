@@ -198,7 +198,7 @@ def _file_name(name: str) -> str:
 
 def _digest(mesh: Mesh, count: int, seed: int) -> str:
     """Return 12 hex digits of what the cached diagram depends on: the units, the draw and the mesh."""
-    content = f"diagram 1, radius/diagonal, {count}, {seed}, {mesh_hash(mesh)}"
+    content = f"diagram 2, radius/diagonal, {count}, {seed}, {mesh_hash(mesh)}"
     return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 

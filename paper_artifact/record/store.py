@@ -319,3 +319,49 @@ def _column(values: list) -> Any:
         ):
             return {"#lists": [_column([item[place] for item in values]) for place in range(len(values[0]))]}
     return [pack(item) for item in values]
+
+
+# sections that are compared after the steps
+ENDS = ("soup", "images", "tails", "statement", "bundle", "mesh", "scene", "frame")
+
+
+def first_difference(recorded: Mapping, again: Mapping) -> str | None:
+    """Return the first step and value of two records of one run that differ, as a sentence; None for the same
+    bits.
+
+    In the order of the run: losses, refreshes and dumps, then the sections of its end. Times, host and
+    versions do not count.
+    """
+    pairs = itertools.zip_longest(_course(recorded), _course(again), fillvalue=(None, "nothing", None))
+    for (step, name, before), (other_step, other_name, after) in pairs:
+        if (step, name) != (other_step, other_name):
+            where = "at the end" if step is None else f"step {step}"
+            return f"{where}: the record has a {name} where this run has a {other_name}"
+        if before != after:
+            place, before, after = _first_leaf(name, before, after)
+            where = "at the end" if step is None else f"step {step}"
+            return f"{where}: {place} is {after!r}, and {before!r} in the record"
+    return None
+
+
+def _course(record: Mapping) -> list[tuple[int | None, str, Any]]:
+    """Return (step, name, value) of what happened in a run, in order."""
+    losses = record["losses"]
+    found = [(step, 0, "loss", value) for step, value in zip(losses["step"], losses["loss"], strict=True)]
+    found += [(event.get("step", 0), 1, event["event"], event) for event in record.get("topology") or ()]
+    found += [(dump["step"], 2, "dump", dump) for dump in record["dumps"]]
+    found.sort(key=lambda each: each[:2])
+    return [(step, name, value) for step, _, name, value in found] + [
+        (None, name, record[name]) for name in ENDS if name in record
+    ]
+
+
+def _first_leaf(name: str, before: Any, after: Any) -> tuple[str, Any, Any]:
+    """Return the name and both values of the first part that differs of two JSON values."""
+    if isinstance(before, dict) and isinstance(after, dict) and before.keys() == after.keys():
+        keys = [key for key in before if before[key] != after[key]]
+        return _first_leaf(f"{name} {keys[0]}", before[keys[0]], after[keys[0]])
+    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        place = next(k for k in range(len(before)) if before[k] != after[k])
+        return _first_leaf(f"{name}[{place}]", before[place], after[place])
+    return name, before, after

@@ -125,7 +125,7 @@ class LossTerm(Protocol):
         """Continue from what `state` returned."""
 
 
-FORMAT = 3
+FORMAT = 4  # raised whenever the same state would go on to other bits
 SEAL = b"paper_artifact checkpoint, sha256 "
 HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
 
