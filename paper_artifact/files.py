@@ -61,6 +61,8 @@ OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from 
 def write_failure(path: Path | str, error: OSError) -> InputError:
     """Return the InputError for what could not be written (a path, or words for it) because of `error`."""
     why = error.strerror or str(error)
+    if error.errno == errno.EFBIG:
+        return InputError(f"cannot write {path}: {why}; allow larger files (ulimit -f) and run it again")
     if error.errno in DISK_FULL:
         return InputError(f"cannot write {path}: {why}; free some space and run the same command again")
     return InputError(f"cannot write {path}: {why}; choose a folder that you can write to")
@@ -123,6 +125,14 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise write_failure(path, error) from error
+
+
+def check_writable(path: Path) -> None:
+    """Make the folder of the file `path`. Raises InputError, before any work, when it cannot be made or
+    written, or when `path` is a folder itself."""
+    with _writing(path), partial_folder(path.parent):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
 
 
 @contextmanager
@@ -225,8 +235,9 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 `text` to `path` atomically. Raises InputError when the folder is not writable."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write UTF-8 `text` to `path` atomically, half letters (of a name that is no UTF-8) as \\udcff. Raises
+    InputError when the folder is not writable."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path | str, value: Any) -> None:

@@ -25,7 +25,7 @@ from paper_artifact.evaluate.scores import (
     make_target,
     tails,
 )
-from paper_artifact.files import OWN, RESULTS, write_failure
+from paper_artifact.files import OWN, RESULTS, check_writable
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
@@ -250,7 +250,8 @@ def run(
         return read_record(recorded)
     require_memory_for(config.samples)
     bundle = target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
-    path = writable(record_path(config, results / "runs"))
+    path = record_path(config, results / "runs")
+    check_writable(path)
     scene = subject.scene(results)
     if tell is not None:
         for remark in subject.remarks(scene):
@@ -299,15 +300,6 @@ def target_bundle(config: RunConfig, given: Given) -> Bundle | None:
         return given.bundle
     assert given.mesh is not None
     return make_run_term(config, given.mesh)[1]
-
-
-def writable(path: Path) -> Path:
-    """Return `path` when its folder exists or can be made. Raises InputError otherwise."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise write_failure(f"results to {path.parent.parent}", error) from error
-    return path
 
 
 def in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Mesh | None, Bundle | None]:

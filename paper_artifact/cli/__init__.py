@@ -27,7 +27,7 @@ from paper_artifact import __version__
 from paper_artifact.cli.options import Options, WrongUsage, add_options, read_options
 from paper_artifact.cli.output import prepare_streams
 from paper_artifact.errors import InputError
-from paper_artifact.files import DISK_BROKEN, DISK_FULL, write_failure, write_json
+from paper_artifact.files import DISK_BROKEN, DISK_FULL, check_writable, write_failure, write_json
 
 Runner = Callable[[Any], Any]
 
@@ -116,10 +116,7 @@ def _run(argv: list[str], asked: str | None) -> int:
     options = read_options(_options_of(runner), namespace)
     file = getattr(options, "json", None)
     if file is not None and str(file) != "-":
-        try:  # before the work
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise write_failure(file, error) from error
+        check_writable(file)
     on_stdout = file == Path("-")  # then the text goes to stderr
     with redirect_stdout(sys.stderr if on_stdout else sys.stdout):
         code, value = runner(options) if hasattr(options, "json") else (runner(options), None)

@@ -74,7 +74,7 @@ def run_all(options: RunAll) -> int:
             file=sys.stderr,
         )
         return 1
-    print(next_command("book"))
+    print(next_command("book", *(() if options.out == EXECUTED else ("--executed", options.out))))
     return 0
 
 

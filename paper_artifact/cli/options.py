@@ -30,6 +30,7 @@ import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
+from os.path import realpath
 from pathlib import Path
 from typing import Annotated, Any, NewType, TypeVar
 
@@ -116,9 +117,10 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
 
 
 def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
-    """Return the options of `kind` that argparse found. Raises WrongUsage for a number out of range and for
-    a name that no file can have."""
+    """Return the options of `kind` that argparse found. Raises WrongUsage for a number out of range, a name
+    that no file can have, and an output in the place of an input."""
     values: dict[str, Any] = {}
+    named: list[tuple[str, Any, Path]] = []
     hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
     for each in fields(kind):
         value, about = getattr(namespace, each.name), _Type(hints[each.name])
@@ -130,9 +132,22 @@ def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
                 raise WrongUsage(f"{flag} must be {limits}, got {item}")
             if about.item in (Source, Path):
                 _check_length(flag, os.fsencode(item), SPARE if about.item is Path else 0)
+                named.append((flag, about.item, Path(item)))
         values[each.name] = tuple(value) if about.container is tuple else value
+    _keep_apart(named)
     values["quiet"] = values["quiet"] or not sys.stderr.isatty()
     return kind(**values)
+
+
+def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
+    """Raise WrongUsage where two files or folders to write (Path), or a file that is read (Source) and one to
+    write, are the same. named: (flag, type, path) of each option."""
+    for flag, _, path in (each for each in named if each[1] is Path):
+        for other, kind, known in named:
+            if other != flag and (kind is Path or path.is_file()) and realpath(path) == realpath(known):
+                raise WrongUsage(
+                    f"{other} and {flag} are both {path}, which would be lost; give one another name"
+                )
 
 
 def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:

@@ -28,9 +28,12 @@ def prepare_streams() -> None:
             stream.reconfigure(errors="plain")
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
+def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
+    first = ord(error.object[error.start])
+    if 0xDC80 <= first <= 0xDCFF:  # a byte of a file's name that is no text here: as it is
+        return bytes([first - 0xDC00]), error.start + 1
     letters = error.object[error.start : error.end]
     texts = (PLAIN.get(each) or each.encode("ascii", "backslashreplace").decode() for each in letters)
     return "".join(texts), error.end

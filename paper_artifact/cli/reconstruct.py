@@ -18,7 +18,7 @@ from paper_artifact.cli.soups import Export, export
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import check_format, write_solid
-from paper_artifact.files import OWN
+from paper_artifact.files import OWN, check_writable
 from paper_artifact.ingest.solidify import wanted_of
 from paper_artifact.photos.pictures import FRAMES  # noqa: F401, for the help
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
@@ -61,6 +61,8 @@ def reconstruct(options: Reconstruct) -> int:
                 raise InputError("--betti belongs to --out MESH; give the mesh's name too")
         if options.out is not None:
             check_format(options.out)
+    if options.out is not None:
+        check_writable(options.out)
     source = Path(options.photographs)
     work = options.work or OWN / source.resolve().stem
     scene = Source(str(work / "scene"))

@@ -22,7 +22,7 @@ from paper_artifact.export.solid import (
     solidify_soup,
     write_solid,
 )
-from paper_artifact.files import write_text
+from paper_artifact.files import check_writable, write_text
 from paper_artifact.frame import Frame
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest import solidify as shells
@@ -58,19 +58,19 @@ class Ingest(Options):
 def ingest(options: Ingest) -> tuple[int, dict]:
     """Ingest, certify, write and print. Returns 0 and what --json writes."""
     pot = hot_pot.raw_pot() if options.raw == hot_pot.NAME else None
+    offset, cells = (shells.OFFSET, shells.CELLS) if pot is None else (hot_pot.OFFSET, hot_pot.CELLS)
+    offset = offset if options.offset is None else options.offset
+    cells = cells if options.cells is None else options.cells
     with usage_checked():
         check_shell_format(options.out)
+        check_ladder([offset], cells)
         if options.raw_obj is not None and pot is None:
             raise WrongUsage("--raw-obj writes the procedural pot's polygons; it goes with 'pot' alone")
+    check_writable(options.out)
     mesh = find_mesh(options.raw, welded=False) if pot is None else pot.mesh()
-    offset, cells = (shells.OFFSET, shells.CELLS) if pot is None else (hot_pot.OFFSET, hot_pot.CELLS)
     with stage_bar(options.raw, options.quiet) as stage:
         stage("distances and shell")
-        solid = shells.solidify(
-            mesh,
-            offset if options.offset is None else options.offset,
-            cells if options.cells is None else options.cells,
-        )
+        solid = shells.solidify(mesh, offset, cells)
     certificate = write_shell(options.out, solid.shell)
     if options.raw_obj is not None and pot is not None:
         write_text(options.raw_obj, pot.obj())
@@ -136,6 +136,7 @@ def solidify(options: Solidify) -> tuple[int, dict]:
             raise WrongUsage("--radius and --ground belong to --scene DIR, whose cameras give their unit")
         if options.scene is not None and Path(options.soup).suffix != ".npz":
             raise WrongUsage("--scene belongs to a trained soup (.npz); a mesh is taken whole")
+    check_writable(options.out)
     target = None if options.target is None else find_mesh(options.target)
     if target is not None and betti is None:
         betti = certify_mesh(target, with_boundary=True).betti

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -204,6 +205,11 @@ def export(options: Export) -> int:
     soup, frame = load_soup(file), load_frame(file)
     triangles = soup_triangles(soup)
     written: list[Path] = []
+    for kind in options.formats:
+        if options.target and realpath(options.target) == realpath(options.out / f"{file.stem}.{kind}"):
+            raise WrongUsage(
+                f"--target {options.target} would be lost: --out gets a file of this name; give another"
+            )
 
     def path_of(kind: str) -> Path:
         written.append(options.out / f"{file.stem}.{kind}")
