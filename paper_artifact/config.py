@@ -78,7 +78,7 @@ class LossConfig:
         (0.2, 0.5), "fractions of the run between which the weight grows"
     )
     recruitment: bool = _setting(True, "missing targets claim the nearest free bar (L_recruit)")
-    noise: float = _setting(0.0, "standard deviation of the noise that only the plan sees (C7)", 0)
+    noise: float = _setting(0.0, "standard deviation of the noise that only the plan sees (C7)", 0, high=1)
     repulsion_radius: float = _setting(4.0, "reach of the control, in median spacings of the target", above=0)
     curvature_weighted: bool = _setting(False, "weigh each bar by the curvature at its samples (C4)")
     samples: int = _setting(2048, f"M, points of live cloud and target bundle; 0 is {AUTO!r}", 0)
@@ -106,7 +106,9 @@ class LossConfig:
         "of wanted bars: deaths beyond theirs by `pull`, the smoothed cloud's, clean births",
         choices=("deaths", "smoothed", "births", "none"),
     )
-    pull: float = _setting(2.0, "target of a wanted death beyond itself, in live median spacings", 0)
+    pull: float = _setting(
+        2.0, "target of a wanted death beyond itself, in live median spacings", 0, high=1e6
+    )
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -173,7 +175,7 @@ class RunConfig:
     shape: str = field(metadata={"help": "a name of the study, a mesh file or a scene's folder"})
     condition: str = _setting("C0", "a tag of `paper_artifact.catalogue`; `loss` holds what it means")
     seed: int = _setting(0, "of everything random", 0)
-    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1)
+    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1, high=10**9)
     budget: int = _setting(1200, "triangles kept by pruning (N)", 1)
     views: int = _setting(48, "rendered around the mesh, every 8th held out", 2)
     size: int = _setting(200, "side of a view", LEAST_SIDE, unit="pixels")

@@ -123,4 +123,4 @@ TAKEN: dict[str, bytes] = {
 }
 
 # Taken by the other verbs: float32 cannot hold a shell of size 1 at a distance of a million.
-REFUSED_BY_INGEST = {"far_away.obj": "too far from the origin"}
+REFUSED_BY_INGEST = {"far_away.obj": "too small beside the coordinates"}

@@ -20,6 +20,8 @@ from paper_artifact.scene.fetch import fetch
 from paper_artifact.scene.shapes import make_shape
 from tests.tiny_run import tiny_arguments, tiny_config
 
+pytestmark = pytest.mark.faults
+
 
 @pytest.fixture
 def refused(tmp_path, capsys):

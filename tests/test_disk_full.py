@@ -35,6 +35,8 @@ from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.state import TrainState, write_checkpoint
 from tests.tiny_run import tiny_arguments, tiny_config
 
+pytestmark = pytest.mark.faults
+
 
 @contextmanager
 def files_of_at_most(size: int):

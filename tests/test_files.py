@@ -22,6 +22,8 @@ from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import make_shape
 
+pytestmark = pytest.mark.faults
+
 TINY = SceneConfig(views=2, size=8, supersample=1, points=4)
 WAYS = {
     "file": atomic_path,

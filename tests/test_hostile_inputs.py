@@ -24,6 +24,8 @@ from paper_artifact.scene.images import MOST_PIXELS
 from paper_artifact.scene.load import load_ground_truth, load_scene
 from tests.fuzz_readers import fuzz
 
+pytestmark = pytest.mark.faults
+
 
 def test_two_hundred_mutated_files_are_read_or_refused():
     found = fuzz(200, seed=7)

@@ -146,8 +146,8 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
     farthest = float(np.abs(vertices).max())
     if farthest * np.finfo(np.float32).eps > FAR * cell:
         raise InputError(
-            f"{mesh.name} lies too far from the origin (coordinates to {farthest:.3g}, cells of {cell:.3g}) "
-            "for the shell's float32 points; move it towards the origin first"
+            f"cells of {cell:.3g} are too small beside the coordinates of {mesh.name}, up to {farthest:.3g}, "
+            "for the shell's float32 points; move it to the origin, or take a larger offset or fewer cells"
         )
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     near = field.values <= np.float32(epsilon)

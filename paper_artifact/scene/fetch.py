@@ -135,7 +135,8 @@ def source(key: str) -> Source:
     """Return the mesh `key`. Raises InputError for an unknown key, with the nearest known ones."""
     known = sources()
     if key not in known:
-        near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or list(known)
+        near = difflib.get_close_matches(key, known, n=3, cutoff=0.5)
+        near = [*near, "…"] if near else list(known)
         raise InputError(
             f"no mesh is called '{key}'; known are {', '.join(near)} "
             "(all: python -m paper_artifact fetch --list)"

@@ -38,7 +38,10 @@ def background_colour(name: str) -> np.ndarray:
     if re.fullmatch("#[0-9a-fA-F]{6}", name):
         return np.frombuffer(bytes.fromhex(name[1:]), np.uint8) / np.float32(255)
     if name not in BACKGROUNDS:
-        raise InputError(f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}, or #rrggbb")
+        raise InputError(
+            f"unknown background '{name}'; choose one of {', '.join(BACKGROUNDS)}, #rrggbb, or mean (of "
+            "photographs)"
+        )
     return np.array(BACKGROUNDS[name], dtype=np.float32)
 
 
