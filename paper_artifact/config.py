@@ -175,7 +175,7 @@ class RunConfig:
     shape: str = field(metadata={"help": "a name of the study, a mesh file or a scene's folder"})
     condition: str = _setting("C0", "a tag of `paper_artifact.catalogue`; `loss` holds what it means")
     seed: int = _setting(0, "of everything random", 0)
-    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1, high=10**9)
+    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1)
     budget: int = _setting(1200, "triangles kept by pruning (N)", 1)
     views: int = _setting(48, "rendered around the mesh, every 8th held out", 2)
     size: int = _setting(200, "side of a view", LEAST_SIDE, unit="pixels")

@@ -61,8 +61,6 @@ OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from 
 def write_failure(path: Path | str, error: OSError) -> InputError:
     """Return the InputError for what could not be written (a path, or words for it) because of `error`."""
     why = error.strerror or str(error)
-    if error.errno == errno.EFBIG:
-        return InputError(f"cannot write {path}: {why}; allow larger files (ulimit -f) and run it again")
     if error.errno in DISK_FULL:
         return InputError(f"cannot write {path}: {why}; free some space and run the same command again")
     return InputError(f"cannot write {path}: {why}; choose a folder that you can write to")
@@ -128,8 +126,7 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path) -> None:
-    """Make the folder of the file `path`. Raises InputError, before any work, when it cannot be made or
-    written, or when `path` is a folder itself."""
+    """Make the folder of the file `path`. Raises InputError when no file can be written there."""
     with _writing(path), partial_folder(path.parent):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
@@ -235,8 +232,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 `text` to `path` atomically, half letters (of a name that is no UTF-8) as \\udcff. Raises
-    InputError when the folder is not writable."""
+    """Write UTF-8 `text`, half letters as \\udcff, to `path` as `write_bytes` does."""
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 

@@ -29,7 +29,6 @@ from paper_artifact.files import REPOSITORY, write_text
 from paper_artifact.pages import script_policy
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 from tests.test_book_browser import BROWSER, FLAGS
-from tests.test_cli import shell
 
 pytestmark = pytest.mark.faults
 SMALL = "--densities 64 --working 64 --out page"
@@ -63,7 +62,6 @@ def contents(folder: Path) -> dict[str, bytes]:
         ("run-all --notebooks notebooks --out notebooks", "--out and --notebooks are both notebooks"),
         ("ingest ball.ply --out x.ply --offset nan", "the offset must be in (0, 0.25]"),
         ("ingest ball.ply --out x.ply --cells 0", "at least one grid cell"),
-        ("train sphere --steps 99999999999999999999", "steps must be at least 1 and at most 1e+09"),
         ("train sphere --condition C1 --loss noise=1e300", "noise must be at least 0 and at most 1"),
         ("train sphere --condition T1 --loss pull=1e300", "pull must be at least 0 and at most 1e+06"),
         ("fetch nope", "known are ogre, …"),
@@ -130,12 +128,6 @@ def test_a_view_runs_its_own_script_and_no_other():
     (script,) = re.findall(r"<script>(.*?)</script>", shown, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"'sha256-{digest}'" in policy and "unsafe-inline' 'sha" not in policy
-
-
-def test_a_file_size_limit_is_named(folder):
-    result = shell(f"ulimit -f 1; $PY audit ball.ply {SMALL}", folder)
-    assert result.returncode == 1 and "allow larger files (ulimit -f)" in result.stderr
-    assert "Traceback" not in result.stderr
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")

@@ -99,9 +99,7 @@ def colour_of_mark(rank: int) -> str:
     return COLOURS[rank % len(COLOURS)]
 
 
-def view_parts(
-    mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOURS
-) -> dict[str, Triangles]:
+def view_parts(mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOURS) -> dict[str, Triangles]:
     """Return what the 3-D view shows by name: the mesh with its marks, and both with a see-through mesh.
 
     colours (#rrggbb): of the marks, in turn.

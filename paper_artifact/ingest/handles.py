@@ -117,9 +117,7 @@ class _Surface:
             while way[-1] != base:
                 way.append(int(before[way[-1]]))
             ways.append(way[::-1])
-        common = next(
-            (i for i, (a, b) in enumerate(zip(*ways, strict=False)) if a != b), min(map(len, ways))
-        )
+        common = next((i for i, (a, b) in enumerate(zip(*ways, strict=False)) if a != b), min(map(len, ways)))
         return np.array(ways[0][common - 1 :] + ways[1][: common - 1 : -1])
 
     def length_of(self, vertices: np.ndarray) -> float:
@@ -247,9 +245,7 @@ def _kinds(surface: _Surface, outward: float) -> Callable[[np.ndarray], list[str
     for i in range(2):
         np.minimum.at(shortest, surface.edges[:, i], surface.lengths)
     pushed = surface.points + outward * PUSH * shortest[:, None] * normal
-    linking = np.array(
-        [[linking_number(pushed[one], surface.points[two]) for two in paths] for one in paths]
-    )
+    linking = np.array([[linking_number(pushed[one], surface.points[two]) for two in paths] for one in paths])
     theta = np.rint(linking)
     turned = np.linalg.inv(np.array([each[1] for each in loops], dtype=np.float64)).T
     inside, outside = theta @ turned, theta.T @ turned
