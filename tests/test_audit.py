@@ -19,11 +19,11 @@ from paper_artifact.audit.measure import audit_mesh
 from paper_artifact.audit.page import audit_page, headline
 from paper_artifact.audit.rule import DENSITIES, Rung, decide
 from paper_artifact.catalogue import study_config
-from paper_artifact.certify.certificate import certify
+from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.config import parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import measure
-from paper_artifact.mesh import checked_mesh
+from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -33,8 +33,8 @@ from paper_artifact.topology.floor import measurement_floor
 from tests import certify_shapes as shapes
 
 SMALL = {"densities": (256, 512), "working": (256, 512)}
-CLOSED = certify(*shapes.ball())
-OPEN = certify(*shapes.bowl(), with_boundary=True)
+CLOSED = certify_mesh(Mesh(*shapes.ball(), "mesh"))
+OPEN = certify_mesh(Mesh(*shapes.bowl(), "mesh"), with_boundary=True)
 
 
 def rung(samples: int, h0: int, h1: int, h2: int, margin: float = 1.5) -> Rung:

@@ -13,10 +13,10 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
-from paper_artifact.certify.certificate import certificate_text, certify, certify_mesh
+from paper_artifact.certify.certificate import certificate_text, certify_mesh
 from paper_artifact.certify.homology import betti_numbers, dual_voids, make_complex
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import load_mesh
+from paper_artifact.mesh import Mesh, load_mesh
 from paper_artifact.study import dispositions as disposition
 from tests import certify_shapes as shapes
 
@@ -32,7 +32,7 @@ def gudhi_betti(faces: np.ndarray) -> tuple[int, ...]:
 @pytest.mark.parametrize("name", shapes.KNOWN)
 def test_known_surfaces(name):
     (vertices, faces), betti, verdict, words = shapes.KNOWN[name]
-    certificate = certify(vertices, faces, name)
+    certificate = certify_mesh(Mesh(vertices, faces, name))
     assert certificate.betti == betti
     assert certificate.betti2_dual == betti[2]
     assert certificate.verdict == verdict, certificate.reasons
@@ -43,7 +43,7 @@ def test_known_surfaces(name):
 @pytest.mark.parametrize("name", shapes.KNOWN)
 def test_known_surfaces_against_gudhi_and_trimesh(name):
     (vertices, faces), _, _, _ = shapes.KNOWN[name]
-    certificate = certify(vertices, faces, name)
+    certificate = certify_mesh(Mesh(vertices, faces, name))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices(digits_vertex=9)
     assert certificate.betti == gudhi_betti(mesh.faces)
@@ -80,7 +80,7 @@ def test_every_triangle_of_many_points_has_all_voids():
 
 def test_a_triangle_given_twice_is_a_fault_of_the_file_alone():
     vertices, faces = shapes.joined(shapes.plate(1), (np.eye(3) + 9, np.array([[0, 1, 2], [1, 0, 2]])))
-    certificate = certify(vertices, faces)
+    certificate = certify_mesh(Mesh(vertices, faces, "mesh"))
     assert certificate.reasons == ("1 duplicate face",) and certificate.genus is None
     assert certificate.kind == "1 × closed surface, genus 1; 1 × triangle given twice"
     assert certificate.betti == (2, 2, 1) == gudhi_betti(faces)
@@ -92,7 +92,7 @@ def test_order_of_faces_and_vertices_changes_nothing():
     for _ in range(5):
         renamed = rng.permutation(len(vertices))
         shuffled = np.argsort(renamed)[faces][rng.permutation(len(faces))]
-        assert certify(vertices[renamed], shuffled).betti == (2, 7, 1)
+        assert certify_mesh(Mesh(vertices[renamed], shuffled, "mesh")).betti == (2, 7, 1)
 
 
 def test_the_weld_is_counted():
@@ -100,7 +100,7 @@ def test_the_weld_is_counted():
     corners = vertices[faces].reshape(-1, 3)
     soup = np.concatenate([corners, corners[:1], corners[:1], corners[1:2]])
     indexed = np.arange(len(soup)).reshape(-1, 3)
-    certificate = certify(soup, indexed, "soup")
+    certificate = certify_mesh(Mesh(soup, indexed, "soup"))
     assert certificate.passed and certificate.betti == (1, 2, 1)
     assert certificate.open_edges_as_indexed == indexed.size and certificate.collapsed_faces == 1
     assert any("1 face dropped by the weld" in note for note in certificate.notes)
@@ -108,7 +108,7 @@ def test_the_weld_is_counted():
 
 def test_boundaries_are_certified_as_such_on_request():
     (vertices, faces), _, _, _ = shapes.KNOWN["bowl"]
-    certificate = certify(vertices, faces, "bowl", with_boundary=True)
+    certificate = certify_mesh(Mesh(vertices, faces, "bowl"), with_boundary=True)
     assert (
         certificate.passed
         and certificate.kind == "disk"
@@ -116,10 +116,10 @@ def test_boundaries_are_certified_as_such_on_request():
         and not certificate.closed
     )
     stages = []
-    judged = certify(vertices, faces, "bowl", with_boundary=None, progress=stages.append)
+    judged = certify_mesh(Mesh(vertices, faces, "bowl"), with_boundary=None, progress=stages.append)
     assert judged == certificate and stages[0] == "weld" and "exact homology" in stages
-    strip = certify(*shapes.band(9, twist=True), with_boundary=True)
-    unsure = certify(*shapes.band(9, twist=True), "mesh", with_boundary=None)
+    strip = certify_mesh(Mesh(*shapes.band(9, twist=True), "mesh"), with_boundary=True)
+    unsure = certify_mesh(Mesh(*shapes.band(9, twist=True), "mesh"), with_boundary=None)
     assert not unsure.passed and not unsure.with_boundary
     assert (
         not strip.passed
@@ -133,9 +133,9 @@ def test_winding_is_judged():
     vertices, faces = shapes.ball()
     flipped = faces.copy()
     flipped[7] = flipped[7, ::-1]
-    certificate = certify(vertices, flipped)
+    certificate = certify_mesh(Mesh(vertices, flipped, "mesh"))
     assert certificate.reasons == ("inconsistent winding at 3 edges",) and certificate.orientable
-    inwards = certify(*shapes.ball(inwards=True))
+    inwards = certify_mesh(Mesh(*shapes.ball(inwards=True), "mesh"))
     assert inwards.passed and "wound inwards" in inwards.notes[0] and inwards.components[0].volume < 0
 
 
@@ -197,13 +197,14 @@ def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
 
 
 def test_many_components_are_cut_short_in_the_table():
-    certificate = certify(*shapes.joined(*[shapes.tetrahedron(3.0 * i) for i in range(20)]))
+    many = shapes.joined(*[shapes.tetrahedron(3.0 * i) for i in range(20)])
+    certificate = certify_mesh(Mesh(*many, "mesh"))
     assert certificate.betti == (20, 0, 20) and "and 8 smaller components" in certificate_text(certificate)
 
 
 def test_nothing_left_is_refused():
     with pytest.raises(InputError, match="no triangle with three different corners"):
-        certify(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+        certify_mesh(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), "mesh"))
 
 
 def test_a_file_is_certified_as_it_was_written(tmp_path):

@@ -23,7 +23,7 @@ import trimesh
 from common import Clock, options, write
 from solids import NAMES, RUN, SEED, betti_of, soups_of
 
-from paper_artifact.certify.certificate import certify
+from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import soup_triangles
 from paper_artifact.export.solid import SAMPLES, distances_to, opaque_mesh
@@ -72,7 +72,7 @@ def judged(shape: str, made: Surface, name: str) -> dict:
     """Return the certificate's verdict on a made surface, its Betti numbers and genus, whether it is what is
     wanted, and its distances to the ground truth."""
     mesh = checked_mesh(*made, name)
-    found = certify(mesh.vertices, mesh.faces, name)
+    found = certify_mesh(mesh)
     distance = distances_to(mesh, surface(shape))
     return {
         "passes": found.passed,

@@ -120,20 +120,7 @@ def certify_mesh(
     where open edges are all that is wrong. progress: called with the name of each stage as it begins. Raises
     InputError when nothing is left after the weld.
     """
-    return certify(mesh.vertices, mesh.faces, mesh.name, with_boundary=with_boundary, progress=progress)
-
-
-def certify(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    name: str = "mesh",
-    *,
-    with_boundary: bool | None = False,
-    progress: Callable[[str], None] | None = None,
-) -> Certificate:
-    """Return the Certificate of vertices (V,3) float64, world units, and faces (F,3) int64, as `certify_mesh`
-    does.
-    """
+    vertices, faces, name = mesh.vertices, mesh.faces, mesh.name
     stage = progress or (lambda name: None)
     stage("weld")
     welded, indexed = weld(vertices, faces)
