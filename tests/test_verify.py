@@ -103,7 +103,7 @@ def test_sweep_verify_counts_and_names_what_differs(tmp_path, capsys, monkeypatc
         return []
 
     monkeypatch.setattr("paper_artifact.study.sweep.sweep", again)
-    words = ["sweep", "table1", "--shape", "sphere", "--condition", "C0", "--condition", "C2"]
+    words = ["sweep", "table1", "--shape", "sphere", "--condition", "C1", "--condition", "C2"]
     assert (
         main([*words, "--seed", "0", "--seed", "1", "--quiet", "--results", str(tmp_path), "--verify"]) == 1
     )
