@@ -31,7 +31,6 @@ from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import (
     config_hash,
-    config_of,
     make_record,
     read_record,
     record_path,
@@ -46,7 +45,7 @@ from paper_artifact.soup.resample import Resampler, allocating_resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
-from paper_artifact.topology.statement import Statement, ended, frame_diagonal
+from paper_artifact.topology.statement import Statement, finished, frame_diagonal
 from paper_artifact.topology.term import TopologyTerm, statement_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
@@ -241,13 +240,14 @@ def run(
     in the place of a path (`scene.given.resolve`). results: folder that gets runs/ (the record), soups/,
     scenes/, targets/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
     each remark on stated Betti numbers and on a scene; strict: what contradicts the statement is an
-    InputError. Raises InputError for bad input or a folder that is not writable, before any training.
+    InputError, of a finished run after its record is written. Raises InputError for bad input or a folder
+    that is not writable, before any training.
     """
     check_device(device)
     subject = subject_of(config, mesh)
     config, results = subject.given.config, results or subject.results
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
-        return read_record(recorded)
+        return uncontradicted(read_record(recorded), strict)
     require_memory_for(config.samples)
     bundle = target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = record_path(config, results / "runs")
@@ -290,7 +290,7 @@ def run(
     save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
-    return record
+    return uncontradicted(record, strict)
 
 
 def target_bundle(config: RunConfig, given: Given) -> Bundle | None:
@@ -332,17 +332,22 @@ def term_sections(term: TopologyTerm) -> dict[str, Any]:
 
 
 def audit_remarks(record: dict, kind: str) -> list[str]:
-    """Return what a record's audit says of the stated Betti numbers: its "warnings" or "notes"."""
+    """Return what a record says of the stated Betti numbers: its audits' "warnings" or "notes"; a finished
+    soup with more features than stated is a warning."""
     audits = [event for event in record.get("topology") or () if event["event"] == "audit"]
-    return [each for event in audits for each in event.get(kind, ())]
+    found = [each for event in audits for each in event.get(kind, ())]
+    said, dumps = record.get("statement"), record["dumps"]
+    if kind == "warnings" and said is not None and dumps:
+        found += finished(Statement(tuple(said["betti"]), said["diagonal"]), dumps[-1]["counts"])
+    return found
 
 
-def closing_notes(record: dict) -> list[str]:
-    """Return `topology.statement.ended` of a record of stated Betti numbers, nothing of another."""
-    loss, said = config_of(record).loss, record.get("statement")
-    if loss is None or said is None:
-        return []
-    return ended(Statement(tuple(said["betti"]), said["diagonal"]), record["topology"], loss)
+def uncontradicted(record: dict, strict: bool) -> dict:
+    """Return the record. Raises InputError when strict and it contradicts its stated Betti numbers."""
+    warnings = audit_remarks(record, "warnings") if strict else []
+    if warnings:
+        raise InputError(f"strict, and the record holds a warning: {warnings[0]}")
+    return record
 
 
 def results_of(config: RunConfig) -> Path:

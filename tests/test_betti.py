@@ -22,6 +22,7 @@ from paper_artifact.topology.statement import (
     Statement,
     choose_density,
     contradictions,
+    finished,
     frame_diagonal,
     projected,
     trimmed,
@@ -204,6 +205,25 @@ def test_a_term_audits_its_words_once_before_any_gradient():
     words_of((1, 0, 1), strict=True).refresh(22, soup, None)
     words_of((1, 1, 1), strict=True, tell=told.append).refresh(22, soup, None)
     assert told[-1].startswith("step 22: you said 1 loop; none so far")
+
+
+def test_the_images_are_asked_again_at_every_tenth_refresh():
+    """A true statement of a sphere, whose second component comes up later."""
+    told: list[str] = []
+    one, two, term = soup_of("sphere"), soup_of("two_spheres"), words_of((1, 0, 1), tell=told.append)
+    for refresh in range(12):
+        term.refresh(22 + refresh, one if refresh < 9 else two, None)
+    assert [event["step"] for event in term.log if event["event"] == "audit"] == [22, 32]
+    assert told[0].startswith("step 32: you said 1 component; the images show 1 component more")
+
+
+def test_a_finished_soup_is_held_to_the_statement():
+    statement = Statement((1, 2, 1), 1.0)
+    assert finished(statement, (0, 2, 1)) == finished(statement, (0, 1, 0)) == []
+    assert finished(statement, (1, 4, 1)) == [
+        "you said 1 component; the finished soup has 2 components",
+        "you said 2 loops; the finished soup has 4 loops",
+    ]
 
 
 def test_a_target_of_another_kind_is_refused():

@@ -10,9 +10,9 @@ import trimesh
 
 from paper_artifact import cli
 from paper_artifact.catalogue import study_config
-from paper_artifact.cli.runs import audited
+from paper_artifact.cli.runs import audited, closing_notes
 from paper_artifact.errors import InputError
-from paper_artifact.pipeline import closing_notes, make_run_term
+from paper_artifact.pipeline import make_run_term
 from paper_artifact.record.store import find_records, read_record, recorded_path
 from paper_artifact.scene.load import load_ground_truth, load_scene
 from paper_artifact.train.loop import train

@@ -44,7 +44,8 @@ class Train(OwnSceneOptions):
         --loss dimensions=1,2; samples=auto with --betti; settings: {LOSS}
     betti B0,B1,B2: the shape's stated Betti numbers, for T1 and T2: components, loops, voids, e.g. 1,2,1
         for a torus (default: the study's, for a shape of the study)
-    strict: stop where the images contradict --betti, instead of a warning
+    strict: stop where the images contradict --betti, or end in an error where the finished soup does, instead
+        of a warning
     results: folder for record, soup, scene and checkpoint (default: results/; for one's own mesh or scene
         results/own/, which git ignores)
     device: cpu, cuda or auto
@@ -125,7 +126,7 @@ def trained(options: Train) -> tuple[dict, Path, Path, bool]:
     """
     import torch
 
-    from paper_artifact.pipeline import audit_remarks, results_of
+    from paper_artifact.pipeline import results_of
     from paper_artifact.pipeline import run as run_config
     from paper_artifact.raster.threads import set_thread_count
     from paper_artifact.record.store import config_of, record_path
@@ -148,9 +149,6 @@ def trained(options: Train) -> tuple[dict, Path, Path, bool]:
             )
         except TrainingError as error:
             raise InputError(str(error)) from error
-    contradicted = audit_remarks(record, "warnings")
-    if contradicted and options.strict:  # of a run that is recorded, or was resumed behind its audit
-        raise InputError(f"strict, and the record holds a warning: {contradicted[0]}")
     done = config_of(record)
     results = options.results or results_of(done)
     path = record_path(done, results / "runs", record["defaults"])
@@ -159,7 +157,7 @@ def trained(options: Train) -> tuple[dict, Path, Path, bool]:
 
 def train(options: Train) -> int:
     """Train (or find the record) and print the result. Returns 0, or 1 where --verify finds a difference."""
-    from paper_artifact.pipeline import audit_remarks, closing_notes, results_of
+    from paper_artifact.pipeline import audit_remarks, results_of
 
     if options.verify:
         if options.again:
@@ -228,6 +226,17 @@ def report_differences(recorded: Iterable[Path], again: Iterable[Path]) -> int:
         if versions:
             print(f"  the record was made with {'; '.join(versions)}")
     return int(different > 0)
+
+
+def closing_notes(record: dict) -> list[str]:
+    """Return `topology.statement.ended` of a record of stated Betti numbers, nothing of another."""
+    from paper_artifact.record.store import config_of
+    from paper_artifact.topology.statement import Statement, ended
+
+    loss, said = config_of(record).loss, record.get("statement")
+    if loss is None or said is None:
+        return []
+    return ended(Statement(tuple(said["betti"]), said["diagonal"]), record["topology"], loss)
 
 
 def summary(record: dict) -> str:

@@ -49,6 +49,7 @@ from paper_artifact.topology.statement import (
 # ‖∇V L_topo‖ ÷ ‖∇V L_photo‖ at calibration below which no weight is set: a term whose gradient is rounding
 # alone would get λ = 5e14. The smallest ratio of the recorded runs is 1.3e-3 (torus, C6, seed 3).
 LEAST_RATIO = 1e-5
+AUDIT_EVERY = 10  # refreshes between two looks at whether the images contradict a statement
 # Pairs of the control are listed with the plan, up to this multiple of h, so that samples that come closer
 # between two refreshes count.
 SKIN = 1.25
@@ -110,8 +111,8 @@ class TopologyTerm:
 
     lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
     "refresh"), one for λ ("event": "lambda"), one per plan and reason at which no weight could be set
-    ("event": "no-op", "reason"), and for a statement in words its audit at the first refresh, before any
-    gradient ("event": "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a
+    ("event": "no-op", "reason"), and for a statement its audits, the first before any gradient ("event":
+    "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a
     Statement for the kind "betti", else a bundle. tell: is called with each warning and note; strict: a
     warning is an InputError. Raises InputError when the target's density is not the loss's.
     """
@@ -165,9 +166,8 @@ class TopologyTerm:
         self._objective = kind(self, step, samples, vertices.detach())
         self._refreshed, self._resampled = step, False
         self.log.append({"event": "refresh", "step": step, **self._objective.report})
-        if isinstance(self.target, Statement) and not any(each["event"] == "audit" for each in self.log):
-            report = self._objective.report
-            self._audit(step, contradictions(self.target, report), unseen(self.target, report, self.config))
+        if isinstance(self.target, Statement):
+            self._audit(step, self.target, self._objective.report)
 
     def value(
         self, step: int, vertices: Tensor, photo_gradient_norm: float | Callable[..., float]
@@ -202,11 +202,20 @@ class TopologyTerm:
         self.lambda_peak, self.log = state["lambda_peak"], list(state["log"])
         self._objective = None
 
-    def _audit(self, step: int, warnings: list[str], notes: list[str]) -> None:
-        """Log and tell what contradicts the statement and what does not show yet.
+    def _audit(self, step: int, statement: Statement, report: dict) -> None:
+        """Log and tell what contradicts the statement and what does not show yet: at the first refresh, and
+        at every `AUDIT_EVERY`th until something does.
 
         Raises InputError for a contradiction when strict.
         """
+        earlier = [event for event in self.log if event["event"] == "audit"]
+        refreshes = sum(event["event"] == "refresh" for event in self.log)
+        if (refreshes - 1) % AUDIT_EVERY or any(event["warnings"] for event in earlier):
+            return
+        warnings = contradictions(statement, report)
+        notes = [] if earlier else unseen(statement, report, self.config)
+        if earlier and not warnings:
+            return
         self.log.append({"event": "audit", "step": step, "warnings": warnings, "notes": notes})
         if warnings and self.strict:
             raise InputError(f"strict, and at step {step} the images contradict the words: {warnings[0]}")
