@@ -120,10 +120,7 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
 
 
 def trained(options: Train) -> tuple[dict, Path, Path, bool]:
-    """Return (record, its path, its soup's path, whether anything ran) of what is asked for.
-
-    Raises InputError also for a record that contradicts --strict.
-    """
+    """Return (record, its path, its soup's path, whether anything ran) of what is asked for."""
     import torch
 
     from paper_artifact.pipeline import results_of
@@ -171,12 +168,10 @@ def train(options: Train) -> int:
     if not ran:
         print("nothing ran: the record exists already (--again trains anew)")
     print(summary(record))
-    for each in audit_remarks(record, "warnings"):
-        print(f"warning: {each}")
-    for each in audit_remarks(record, "notes"):
-        print(f"note, when the loss set in: {each}")
-    for each in closing_notes(record):
-        print(f"note, at the end: {each}")
+    said = [f"warning: {each}" for each in audit_remarks(record, "warnings")]
+    said += [f"note, when the loss set in: {each}" for each in audit_remarks(record, "notes")]
+    said += [f"note, at the end: {each}" for each in closing_notes(record)]
+    print(*said, sep="\n", end="\n" * bool(said))
     print(f"record: {path}")
     if not soup.is_file():
         print(f"warning: the soup {soup} is gone; --again trains it anew", file=sys.stderr)
@@ -234,9 +229,8 @@ def closing_notes(record: dict) -> list[str]:
     from paper_artifact.topology.statement import Statement, ended
 
     loss, said = config_of(record).loss, record.get("statement")
-    if loss is None or said is None:
-        return []
-    return ended(Statement(tuple(said["betti"]), said["diagonal"]), record["topology"], loss)
+    given = None if said is None else Statement(tuple(said["betti"]), said["diagonal"])
+    return [] if loss is None or given is None else ended(given, record["topology"], loss)
 
 
 def summary(record: dict) -> str:
