@@ -4,11 +4,6 @@
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/.ci/bootstrap.sh"
 cd "$repository"
-# Where the meshes lie beside the repository, they are the mirror: no test that needs one is skipped.
-if [ -z "${PAPER_ARTIFACT_MIRROR:-}" ] && [ -d "$repository/../shared/meshes" ]; then
-    PAPER_ARTIFACT_MIRROR="$(cd "$repository/../shared/meshes" && pwd -P)"
-    export PAPER_ARTIFACT_MIRROR
-fi
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"  # a process per core, a thread each; results do not depend on it
 status=0
 if [ "$#" -gt 0 ]; then

@@ -119,3 +119,8 @@ bootstrap() {
 
 bootstrap
 export PATH="$venv/bin:$PATH"
+# Where the meshes lie beside the repository, they are the mirror: nothing is downloaded, no test is skipped.
+if [ -z "${PAPER_ARTIFACT_MIRROR:-}" ] && [ -d "$repository/../shared/meshes" ]; then
+    PAPER_ARTIFACT_MIRROR="$(cd "$repository/../shared/meshes" && pwd -P)"
+    export PAPER_ARTIFACT_MIRROR
+fi
