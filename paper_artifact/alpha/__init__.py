@@ -27,13 +27,15 @@ if TYPE_CHECKING:
     from paper_artifact.alpha.diagrams import circumradius as circumradius
     from paper_artifact.alpha.distances import bottleneck as bottleneck
     from paper_artifact.alpha.distances import persistence_image as persistence_image
+    from paper_artifact.alpha.distances import persistence_landscape as persistence_landscape
     from paper_artifact.alpha.distances import plot_diagram as plot_diagram
     from paper_artifact.alpha.distances import wasserstein as wasserstein
     from paper_artifact.alpha.transformer import AlphaTransformer as AlphaTransformer
 
 _LATER = {
     **dict.fromkeys(("AlphaPersistence", "DiagramTensor", "alpha_diagrams", "circumradius"), "diagrams"),
-    **dict.fromkeys(("bottleneck", "persistence_image", "plot_diagram", "wasserstein"), "distances"),
+    **dict.fromkeys(("bottleneck", "persistence_image", "persistence_landscape"), "distances"),
+    **dict.fromkeys(("plot_diagram", "wasserstein"), "distances"),
     "AlphaTransformer": "transformer",
 }
 __all__ = ["Pairs", "alpha_filtration", "alpha_persistence", *_LATER]

@@ -1,4 +1,4 @@
-"""Distances of persistence diagrams, pictures of them: bottleneck, Wasserstein, persistence images.
+"""Distances of persistence diagrams, pictures of them: bottleneck, Wasserstein, images, landscapes.
 
 The bottleneck distance is exact and made for large diagrams.
 
@@ -210,31 +210,62 @@ def persistence_image(
     images. A tensor for a tensor, differentiable; a float64 array otherwise. Raises InputError as
     `bottleneck` does, or for a span or bandwidth that is not positive.
     """
-    array = _bars(bars)
-    keep = np.flatnonzero(np.isfinite(array[:, 1]))
-    array = array[keep]
-    lives = array[:, 1] - array[:, 0]
+    library, values, array = _finite(bars)
     if span is None:
-        span = (_range(array[:, 0]), (0.0, float(lives.max(initial=0.0)) or 1.0))
+        span = (_range(array[:, 0]), (0.0, float(np.ptp(array, axis=1).max(initial=0.0)) or 1.0))
     pixels = [(high - low) / resolution for low, high in span]
     bandwidth = max(pixels) if bandwidth is None else bandwidth
     if not (resolution >= 1 and min(pixels) > 0 and bandwidth > 0):
         raise InputError("resolution, span and bandwidth of a persistence image must be positive")
-    centres: list[Any] = [
-        low + pixel * (np.arange(resolution) + 0.5) for (low, _), pixel in zip(span, pixels, strict=True)
-    ]
-    library: Any = np
-    if hasattr(bars, "detach"):
-        import torch
-
-        library, array = torch, bars[keep]
-        lives = array[:, 1] - array[:, 0]
-        centres = [torch.as_tensor(each).to(array) for each in centres]
+    lives = values[:, 1] - values[:, 0]
     births, heights = (
-        library.exp(-(((axis[None] - values[:, None]) / bandwidth) ** 2) / 2)
-        for axis, values in zip(centres, (array[:, 0], lives), strict=True)
+        library.exp(-(((low + pixel * (_steps(resolution, values) + 0.5) - x[:, None]) / bandwidth) ** 2) / 2)
+        for (low, _), pixel, x in zip(span, pixels, (values[:, 0], lives), strict=True)
     )
     return heights.T @ (births * lives[:, None]) / (2 * np.pi * bandwidth**2)
+
+
+def persistence_landscape(
+    bars: Any, layers: int = 5, resolution: int = 100, span: tuple[float, float] | None = None
+) -> Any:
+    """Return the persistence landscape (layers, resolution) of bars (k,2).
+
+    Row j at a radius t is the (j+1)-th largest of min(t - birth, death - t) over the bars, at least 0, for
+    `resolution` values of t evenly over span, ends included (default: from the least birth to the last
+    death). Bars that never die are left out. A tensor for a tensor, differentiable; otherwise a float64
+    array.
+    Raises InputError as `bottleneck` does, or for a size below 1 or an empty span.
+    """
+    library, values, array = _finite(bars)
+    low, high = _range(array.ravel()) if span is None else span
+    if not (layers >= 1 and resolution >= 2 and low < high):
+        raise InputError("a landscape needs at least one layer, two values and a span that is not empty")
+    radii = low + (high - low) / (resolution - 1) * _steps(resolution, values)
+    tents = library.minimum(radii - values[:, :1], values[:, 1:] - radii).clip(min=0.0)
+    tents = library.vstack([tents, *([0.0 * radii[None]] * layers)])  # where there are fewer bars
+    order = np.argsort(-np.asarray(tents.detach().cpu() if hasattr(tents, "detach") else tents), axis=0)
+    return tents[order[:layers], np.arange(resolution)]
+
+
+def _finite(bars: Any) -> tuple[Any, Any, np.ndarray]:
+    """Return numpy or, for a tensor, torch; the bars (k,2) that die in it; and as an array, detached."""
+    array = _bars(bars)
+    keep = np.flatnonzero(np.isfinite(array[:, 1]))
+    if not hasattr(bars, "detach"):
+        return np, array[keep], array[keep]
+    import torch
+
+    return torch, bars[keep], array[keep]
+
+
+def _steps(count: int, like: Any) -> Any:
+    """Return 0, 1, ... (count,) as an array, or as a tensor of the dtype and device of the tensor `like`."""
+    steps = np.arange(count, dtype=np.float64)
+    if not hasattr(like, "detach"):
+        return steps
+    import torch
+
+    return torch.as_tensor(steps).to(like)
 
 
 def _range(values: np.ndarray) -> tuple[float, float]:

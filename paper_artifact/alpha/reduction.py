@@ -18,6 +18,7 @@ from paper_artifact.kernel_cache import njit
 # A triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an
 # edge.
 OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3
+SHORT, NOTHING = 96, -2  # rows of a column that is worked on as a list; no apparent triangle
 
 
 def increasing(values: np.ndarray) -> np.ndarray:
@@ -226,8 +227,8 @@ def loops(
 
     order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a
     void are left out. Rows are the edges that merge no components (the others never become a pivot). A column
-    is reduced in a bit tree over the rows; a reduced column is kept as a list of rows, except for the
-    triangles of `apparent`, which are reduced as they are.
+    is a list of decreasing rows while it is short, as nearly all are, and a bit tree over the rows from then
+    on; a reduced column is kept as a list, except for the triangles of `apparent`, which stay as they are.
     """
     row_of = np.full(len(edge_order), np.int32(-1))
     edge_at = np.empty(len(edge_order), dtype=np.int32)
@@ -237,47 +238,111 @@ def loops(
             row_of[edge] = rows
             edge_at[rows] = edge
             rows += 1
-    columns = np.full(rows, np.int32(-1))  # of a pivot row: its place in starts, births, deaths
-    starts = np.empty(rows + 1, dtype=np.int64)
-    births, deaths = np.empty(rows, dtype=np.int32), np.empty(rows, dtype=np.int32)
-    kept = np.empty(4 * rows + 1024, dtype=np.int32)
-    count = used = 0
-    starts[0] = 0
-    tree, levels = _bit_tree(rows)
+    others = np.full(
+        (rows, 2), np.int32(NOTHING)
+    )  # of a row with an apparent triangle: its other rows, or -1
+    for row in range(rows):
+        edge, place = edge_at[row], 0
+        if apparent[edge] >= 0:
+            for i in range(3):
+                other = of_triangle[apparent[edge], i]
+                if other != edge:
+                    others[row, place] = row_of[other]
+                    place += 1
+    # All columns first: reads from everywhere overlap where none waits for the one before.
+    triangles, columns = np.empty(len(order), dtype=np.int32), np.empty((len(order), 3), dtype=np.int32)
+    count = 0
     for triangle in order:
-        if state[triangle] == CLOSES:
-            continue
-        addend = triangle  # a triangle's own column, or -1: the kept column of the pivot
-        pivot = np.int64(-1)
-        size = 0  # of the column, at most
+        if state[triangle] != CLOSES:
+            triangles[count] = triangle
+            for i in range(3):
+                columns[count, i] = row_of[of_triangle[triangle, i]]
+            count += 1
+    starts = np.zeros(rows, dtype=np.int64)  # of the kept column of a pivot row; its size 0: there is none
+    sizes = np.zeros(rows, dtype=np.int32)
+    births = np.empty(count, dtype=np.int32)
+    kept, used = np.empty(4 * rows + 1024, dtype=np.int32), 0
+    tree, levels = _bit_tree(rows)
+    column, result = np.empty(SHORT, dtype=np.int32), np.empty(SHORT, dtype=np.int32)
+    face = np.empty(3, dtype=np.int32)
+    for k in range(count):
+        size = 0
+        for i in range(3):
+            row, place = columns[k, i], size
+            if row >= 0:
+                while place > 0 and column[place - 1] < row:
+                    column[place] = column[place - 1]
+                    place -= 1
+                column[place] = row
+                size += 1
+        long = False
         while True:
-            if addend >= 0:
-                for i in range(3):
-                    row = np.int64(row_of[of_triangle[addend, i]])
-                    if row >= 0:
-                        _flip(tree, levels, row)
-                        size += 1
+            pivot = np.int64(column[0])
+            one, two = others[pivot, 0], others[pivot, 1]
+            if one != NOTHING:
+                face[0], face[1], face[2] = pivot, max(one, two), min(one, two)
+                addend, first, end = face, 0, 1 + (one >= 0) + (two >= 0)
+            elif sizes[pivot] > 0:
+                addend, first, end = kept, starts[pivot], starts[pivot] + sizes[pivot]
             else:
-                first, end = starts[columns[pivot]], starts[columns[pivot] + 1]
-                for i in range(first, end):
-                    _flip(tree, levels, np.int64(kept[i]))
-                size += end - first
+                break
+            if size + end - first > SHORT:
+                long = True
+                break
+            i, total = 0, 0
+            while i < size and first < end:
+                ours, theirs = column[i], addend[first]
+                if ours > theirs:
+                    result[total] = ours
+                    total += 1
+                    i += 1
+                elif theirs > ours:
+                    result[total] = theirs
+                    total += 1
+                    first += 1
+                else:
+                    i += 1
+                    first += 1
+            for rest in range(i, size):
+                result[total] = column[rest]
+                total += 1
+            for rest in range(first, end):
+                result[total] = addend[rest]
+                total += 1
+            column, result = result, column
+            size = total
+        if long:
+            for i in range(size):
+                _flip(tree, levels, np.int64(column[i]))
+        while long:
             pivot = _last(tree, levels)
-            addend = apparent[edge_at[pivot]]
-            if addend < 0 and columns[pivot] < 0:
+            left, right = np.int64(others[pivot, 0]), np.int64(others[pivot, 1])
+            if left != NOTHING:
+                _flip(tree, levels, pivot)
+                if left >= 0:
+                    _flip(tree, levels, left)
+                if right >= 0:
+                    _flip(tree, levels, right)
+                size += 2  # at most
+            elif sizes[pivot] > 0:
+                for i in range(starts[pivot], starts[pivot] + sizes[pivot]):
+                    _flip(tree, levels, np.int64(kept[i]))
+                size += sizes[pivot]
+            else:
                 break
         if used + size > len(kept):
             kept = _grown(kept, used, 2 * len(kept) + size)
-        row = pivot
-        while True:
-            _flip(tree, levels, row)
-            kept[used] = row
-            used += 1
-            if tree[-1] == 0:
-                break
-            row = _last(tree, levels)
-        births[count], deaths[count] = edge_at[pivot], triangle
-        columns[pivot] = count
-        count += 1
-        starts[count] = used
-    return births[:count], deaths[:count]
+        starts[pivot] = used
+        if long:
+            while tree[-1] != 0:
+                row = _last(tree, levels)
+                _flip(tree, levels, row)
+                kept[used] = row
+                used += 1
+        else:
+            for i in range(size):
+                kept[used] = column[i]
+                used += 1
+        sizes[pivot] = used - starts[pivot]
+        births[k] = edge_at[pivot]
+    return births, triangles[:count]
