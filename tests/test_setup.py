@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -246,3 +247,31 @@ def test_uv_brings_python_where_the_host_has_none(setup):
     failing = setup.run(STUB_NO_UV="1")
     assert failing.returncode == 1 and "uv could not bring Python 3.11" in failing.stderr
     assert not (setup.root / ".venv").exists()
+
+
+def test_uv_itself_is_taken_by_its_hash(setup):
+    """Where neither Python 3.11 nor uv is there, a Python of another version installs uv in a side folder."""
+    setup.add("python3", STUB.replace('exit "${STUB_OTHER_VERSION:-0}"', "exit 1"))
+    setup.run()
+    (asked,) = [call for call in setup.calls() if "--require-hashes" in call]
+    assert asked.endswith("/.python/uv.lock")
+    entry = (setup.root / ".python" / "uv.lock").read_text()
+    assert (
+        entry.startswith(f"uv=={pins()['uv']} \\\n") and entry.count("==") == 1 and "--hash=sha256:" in entry
+    )
+
+
+def test_scripts_are_sound_bash_also_in_a_checkout_on_windows(tmp_path):
+    for name in ("test.sh", "reproduce.sh", ".ci/bootstrap.sh", ".ci/run"):
+        assert subprocess.run(["bash", "-n", name], cwd=REPOSITORY).returncode == 0
+        asked = subprocess.run(
+            ["git", "check-attr", "eol", name], cwd=REPOSITORY, capture_output=True, text=True
+        )
+        assert asked.stdout.strip() in (f"{name}: eol: lf", ""), "Git for Windows would write CRLF"
+    assert os.access(REPOSITORY / ".ci" / "run", os.X_OK)
+
+
+def test_workflow_actions_are_pinned_by_commit():
+    for path in (REPOSITORY / ".github" / "workflows").glob("*.yml"):
+        actions = re.findall(r"uses: (\S+)", path.read_text())
+        assert actions and all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action) for action in actions)
