@@ -198,6 +198,12 @@ def test_svg_pictures_of_run_all_come_before_those_in_the_notebooks(tmp_path):
     assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.svg"}
 
 
+TABLE = (
+    "<div><style scoped>th { vertical-align: top; }</style><table class='dataframe'><thead><tr>"
+    "<th colspan='2'>mean</th></tr></thead><tbody><tr><th>C1</th><td>.01</td></tr></tbody></table></div>"
+)
+
+
 def test_no_script_of_a_notebook_reaches_its_page(tmp_path):
     path = notebook(tmp_path / "n" / "01_one.ipynb")
     made = nbformat.read(path, as_version=4)
@@ -216,3 +222,10 @@ def test_no_script_of_a_notebook_reaches_its_page(tmp_path):
     assert not page.scripts
     assert not any("javascript:" in link for link in page.links)
     assert "<iframe" not in text
+    # What is no script stays: headings, tables with heads.
+    made.cells[1].outputs = [nbformat.v4.new_output("display_data", {"text/html": TABLE})]
+    made.cells[0].source = "# Title\n\nA *line*."
+    nbformat.write(made, path)
+    text = str(Pages(tmp_path).notebook_body(read_chapter(path, NOWHERE), {}))
+    assert "<h1" in text and "<p>A <em>line</em>" in text and '<th colspan="2">mean</th>' in text
+    assert "&lt;" not in text and "vertical-align" not in text

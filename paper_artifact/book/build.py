@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -266,14 +267,35 @@ def write_reference(folder: Path) -> None:
     pdoc.pdoc(*(f"paper_artifact.{name}" for name in API), output_directory=folder)
 
 
+# What a notebook may bring into a page: text, tables and pictures, nothing that runs.
+TAGS = [
+    *("h1", "h2", "h3", "h4", "h5", "h6", "p", "br", "hr", "div", "span", "blockquote", "pre", "code"),
+    *("a", "img", "b", "i", "em", "strong", "sub", "sup", "abbr", "ul", "ol", "li", "dl", "dt", "dd"),
+    *("table", "caption", "thead", "tbody", "tfoot", "tr", "th", "td"),
+]
+ATTRIBUTES = {
+    "*": ["class"],
+    "a": ["href", "title"],
+    "img": ["src", "alt"],
+    "th": ["colspan", "rowspan"],
+    "td": ["colspan", "rowspan"],
+}
+
+
 class Pages:
     """Writes pages into one folder."""
 
     def __init__(self, folder: Path) -> None:
+        from bleach import clean
         from nbconvert import HTMLExporter
 
         self.folder = folder
-        self.exporter = HTMLExporter(template_name="basic", exclude_anchor_links=True, sanitize_html=True)
+        self.exporter = HTMLExporter(
+            template_name="basic",
+            exclude_anchor_links=True,
+            sanitize_html=True,
+            filters={"clean_html": partial(clean, tags=TAGS, attributes=ATTRIBUTES, strip=True)},
+        )
 
     def write(self, template: str, file: str, title: str, **content: Any) -> None:
         """Write one page; `file` may lie one folder deeper. Raises InputError when it cannot be written."""
@@ -295,5 +317,9 @@ class Pages:
             link = f"../figures/{file}"
             image = f'<a href="{link}"><img src="{link}" alt="{escape(file)}"></a>'
             notebook.cells[cell].outputs[output]["data"] = {"text/html": image}
-        body, _ = self.exporter.from_notebook_node(notebook)
-        return Markup(re.sub(r"<style scoped[^>]*>.*?</style>", "", body, flags=re.DOTALL))
+        for cell in notebook.cells:
+            for each in cell.get("outputs", ()):
+                if "text/html" in (data := each.get("data", {})):  # pandas' own style, scoped to nothing
+                    text = "".join(data["text/html"])
+                    data["text/html"] = re.sub(r"<style scoped>.*?</style>", "", text, flags=re.DOTALL)
+        return Markup(self.exporter.from_notebook_node(notebook)[0])
