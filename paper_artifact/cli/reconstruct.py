@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import sys
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +12,7 @@ from paper_artifact.cli.output import next_command
 from paper_artifact.cli.runs import Train, summary, trained
 from paper_artifact.cli.scenes import registered_text
 from paper_artifact.cli.solids import Solidify, numbers, offset_table, solid_of, written_text
-from paper_artifact.cli.soups import Export, export
+from paper_artifact.cli.soups import Export, exported
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import check_format, write_solid
@@ -83,9 +81,8 @@ def reconstruct(options: Reconstruct) -> int:
     )
     record, _, soup, ran = trained(run)
     print(f"training     {summary(record)}{'' if ran else ', as recorded'}: {soup}")
-    with redirect_stdout(io.StringIO()):
-        export(Export(soup=Source(str(soup)), scene=scene, out=work, formats=("png", "html")))
-    print(f"pictures     photographs held out above, renders below: {work / soup.stem}.views.png, 3-D: .html")
+    pictures = exported(Export(soup=Source(str(soup)), scene=scene, out=work, formats=("png", "html")))
+    print(f"pictures     3-D: {pictures[0]}; photographs held out above, renders below: {pictures[-1]}")
     if options.out is None:
         print(next_command("reconstruct", source, "--betti", "1,1,0", "--out", "mesh.ply"))
         return 0

@@ -193,6 +193,12 @@ class Export(ReadingOptions):
 
 def export(options: Export) -> int:
     """Write the files and print their paths. Returns 0."""
+    print(*exported(options), sep="\n")
+    return 0
+
+
+def exported(options: Export) -> list[Path]:
+    """Write the files and return their paths."""
     from paper_artifact.export.flat import orbit_renders, scene_renders, sheet, write_png
     from paper_artifact.export.models import mesh_triangles, soup_triangles, write_glb, write_ply
     from paper_artifact.export.viewer import write_html
@@ -232,8 +238,7 @@ def export(options: Export) -> int:
         for index, image in enumerate(rows[-1]):
             write_png(path_of(f"view{index}.png"), image)
         write_png(path_of("views.png"), sheet(rows))
-    print(*written, sep="\n")
-    return 0
+    return written
 
 
 def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint:
