@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -97,8 +98,14 @@ def corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
     rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square +
     eps·√c2).
     """
-    root = math.sqrt(1 - power(_BETA2, step))
-    return np.float32(rate * root / (1 - power(_BETA1, step))), np.float32(_EPS * root)
+    root, first = _corrections(step)
+    return np.float32(rate * root / first), np.float32(_EPS * root)
+
+
+@cache
+def _corrections(step: int) -> tuple[float, float]:
+    """Return √(1 - β2^step) and 1 - β1^step; all tensors of a run count the same steps, many times."""
+    return math.sqrt(1 - power(_BETA2, step)), 1 - power(_BETA1, step)
 
 
 class KernelOptimiser:
