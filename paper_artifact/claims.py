@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from paper_artifact.errors import InputError
@@ -90,13 +91,7 @@ def order_claims(
     (columns shape, condition, seed, value, sd); its B0 is our C0; rows of a single seed are left out; of
     several rows the first counts. Where the paper prints no standard deviation, `variation` of its mean
     stands in, or ours where that is None."""
-    pairs = list(pairs)
-    printed = (
-        paper[paper["seed"].isna()]
-        .replace({"condition": {"B0": "C0"}})
-        .drop_duplicates(["shape", "condition"])
-    )
-    printed = printed.set_index(["shape", "condition"]).rename(columns={"value": "mean"})
+    pairs, printed = list(pairs), _printed(paper)
     rows: list[tuple[str, str, str, bool | None]] = []
     for shape in ours.index.unique("shape"):
         for arm, other in pairs:
@@ -113,6 +108,33 @@ def order_claims(
             found, ours_text = _side(own.assign(spread=own["sd"]))
             rows.append((f"{shape}: {arm} to {other}", ours_text, text, found == place))
     return rows
+
+
+def size_claims(
+    ours: pd.DataFrame, paper: pd.DataFrame, variation: float = 0.0
+) -> list[tuple[str, str, str, bool | None]]:
+    """Return (what, ours, paper, holds) for every mean tail that the paper prints: is ours within twice the
+    larger of the two standard deviations and the last printed digit of it? Arguments as in `order_claims`."""
+    rows: list[tuple[str, str, str, bool | None]] = []
+    for (shape, arm), row in _printed(paper).iterrows():
+        if shape not in ours.index.unique("shape"):
+            continue
+        what, theirs, spread = f"{shape}: size of {arm}", mean_text(row["mean"], row["sd"]), row["sd"]
+        if (shape, arm) not in ours.index:
+            rows.append((what, MISSING, theirs, None))
+            continue
+        own = ours.loc[(shape, arm)]
+        widest = np.nanmax([variation * row["mean"] if pd.isna(spread) else spread, own["sd"], 0.0])
+        holds = bool(abs(own["mean"] - row["mean"]) <= 2 * widest + LAST_DIGIT)
+        rows.append((what, mean_text(own["mean"], own["sd"]), theirs, holds))
+    return rows
+
+
+def _printed(paper: pd.DataFrame) -> pd.DataFrame:
+    """Return the paper's means: index shape, condition (its B0 is our C0); columns mean, sd."""
+    seeds = paper[paper["seed"].isna()].replace({"condition": {"B0": "C0"}})
+    printed = seeds.drop_duplicates(["shape", "condition"]).set_index(["shape", "condition"])
+    return printed.rename(columns={"value": "mean"})[["mean", "sd"]]
 
 
 def _side(two: pd.DataFrame) -> tuple[int, str]:

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from paper_artifact.claims import Claims, mean_text, order_claims, side
+from paper_artifact.claims import Claims, mean_text, order_claims, side, size_claims
 from paper_artifact.errors import InputError
 from paper_artifact.results import published
-from paper_artifact.verdict import arms, verdicts, welch
+from paper_artifact.verdict import arms, below, chance_below, ratio_interval, verdicts, welch
 
 # Table S7 (supplement E), with the paper's verdicts: Table 2, the text of §5.1 (cube; two spheres tied).
 PER_SEED = {
@@ -81,6 +81,30 @@ def test_welch_only_with_five_seeds_and_equal_to_scipys():
     assert judged["welch"] == pytest.approx(16.2, abs=0.05) and judged["outcome"] == "pass"
 
 
+def test_chance_is_scipys_exact_test_and_the_same_for_three_and_five_seeds():
+    draws = np.random.default_rng(1)
+    for n, m in ((3, 3), (5, 5), (3, 5), (4, 6)):
+        for _ in range(20):
+            a, b = draws.random(n), draws.random(m) + 0.3
+            exact = stats.mannwhitneyu(a, b, alternative="less", method="exact").pvalue
+            assert chance_below(a, b) == pytest.approx(exact, rel=1e-12)
+    assert below((1, 2, 3), (4, 5, 6)) and not below((1, 2, 4), (3, 5, 6))  # the paper's rule
+    assert below((1, 2, 3, 4, 6), (5, 7, 8, 9, 10)) and not below((1, 1, 1), (1, 1, 1))
+    # How often two equal arms pass, by all arrangements: one in 20 for three seeds, for five at most.
+    for seeds, most in ((3, 1 / 20), (5, 1 / 20)):
+        equal = [below(*draws.random((2, seeds))) for _ in range(4000)]
+        assert 0.6 * most < np.mean(equal) < 1.3 * most
+
+
+def test_interval_of_the_ratio_covers_it_and_is_one_value_for_pinned_arms():
+    draws, covered = np.random.default_rng(2), 0
+    for k in range(200):
+        low, high = ratio_interval(draws.normal(0.06, 0.006, 5), draws.normal(0.02, 0.002, 5), f"{k}")
+        covered += low <= 3.0 <= high
+    assert 160 <= covered <= 195  # percentile intervals of five seeds are somewhat narrow
+    assert ratio_interval(np.full(3, 0.06), np.full(3, 0.02)) == pytest.approx((3.0, 3.0))
+
+
 GOOD = {"C0": (0.06, 0.07, 0.05), "C1": (0.01, 0.02, 0.015), "C2": (0.1, 0.1, 0.1)}
 
 
@@ -94,6 +118,9 @@ GOOD = {"C0": (0.06, 0.07, 0.05), "C1": (0.01, 0.02, 0.015), "C2": (0.1, 0.1, 0.
         ("tied by control", {"C2g": (0.012, 0.02, 0.03)}),  # every control that was run must be beaten
         ("beaten by control", {"C2": (0.001, 0.002, 0.003)}),
         ("saturated", {"C0": (0.03,) * 3, "C1": (0.03,) * 3, "C2": (0.03,) * 3}),
+        ("negligible", {"C0": (0.0201, 0.0202, 0.0203), "C1": (0.019, 0.0195, 0.02)}),
+        ("tied by control", {"C2": (0.0201, 0.0202, 0.0203), "C1": (0.019, 0.0195, 0.02)}),
+        ("incomplete", {"C1": (0.01, 0.02)}),  # by chance one in ten
     ],
 )
 def test_every_outcome(outcome, changes):
@@ -108,9 +135,8 @@ def test_a_missing_arm_is_named(missing):
 
 
 def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
-    two = {name: tails[:2] for name, tails in GOOD.items()}
-    for chamfer, outcome in ((0.0115, "pass"), (0.01151, "parity failed")):
-        judged = verdicts(rows("x", {"C0": 0.01, "C1": chamfer, "C2": 0.02}, **two)).loc["x"]
+    for chamfer, outcome in ((0.01149, "pass"), (0.01151, "parity failed")):
+        judged = verdicts(rows("x", {"C0": 0.01, "C1": chamfer, "C2": 0.02}, **GOOD)).loc["x"]
         assert judged["outcome"] == outcome and judged["chamfer_ratio"] == pytest.approx(chamfer / 0.01)
     unknown = verdicts(rows("x", **GOOD)).loc["x"]
     assert math.isnan(unknown["chamfer_ratio"]) and "unknown" in unknown["reason"]
@@ -136,6 +162,11 @@ def test_sides_of_two_arms():
     )
     assert (first[3], second[3]) == (True, False), "the paper's control is above the baseline"
     assert ".0101±.0001 below .0601±.0001" in first[1] and ".1346 above .0582" in second[2]
+    sizes = {
+        what: holds
+        for what, _, _, holds in size_claims(arms(made), published("1", quantity="tail_bottleneck"))
+    }
+    assert sizes["cube: size of C0"] and not sizes["cube: size of C1"]
     (lost,) = order_claims(
         arms(made.query("condition != 'C2'")), published("1", quantity="tail_bottleneck"), [("C2", "C0")]
     )
