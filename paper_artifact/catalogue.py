@@ -157,20 +157,20 @@ def get_condition(name: str) -> Condition:
     return rows[name]
 
 
-def tag_of(arm: str) -> str:
+def _tag_of(arm: str) -> str:
     """Return the condition's tag of an arm's name: "C1" for "C1, rho=0.03", C1 with a changed setting."""
     return arm.partition(", ")[0]
 
 
 def colour_of(arm: str) -> str:
     """Return the colour of an arm's condition in every figure; grey for a tag that only the paper has."""
-    return next((each.colour for each in CONDITIONS if each.name == tag_of(arm)), "#999999")
+    return next((each.colour for each in CONDITIONS if each.name == _tag_of(arm)), "#999999")
 
 
 def marker_of(arm: str) -> str | tuple[int, int, int]:
     """Return the (filled) matplotlib marker of an arm's condition in every figure of lines, by its row."""
     names = [each.name for each in CONDITIONS]
-    return MARKERS[names.index(tag_of(arm)) % len(MARKERS)] if tag_of(arm) in names else "."
+    return MARKERS[names.index(_tag_of(arm)) % len(MARKERS)] if _tag_of(arm) in names else "."
 
 
 def study_config(

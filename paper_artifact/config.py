@@ -44,7 +44,7 @@ def limits(about: Mapping[str, Any]) -> str:
     return " and ".join(found).replace("more than 0", "positive")
 
 
-def check_ranges(config: Any) -> None:
+def _check_ranges(config: Any) -> None:
     """Raise InputError for a field of the dataclass that is outside the range of its metadata."""
     for each in fields(config):
         about, value = each.metadata, getattr(config, each.name)
@@ -111,7 +111,7 @@ class LossConfig:
     )
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        _check_ranges(self)
         if self.samples == 0 and self.kind != "betti":
             raise InputError(
                 f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1, T2); for {self.kind!r} "
@@ -151,7 +151,7 @@ class AllocationConfig:
     bundle_seed: int = _setting(0, "seed of that bundle's samples", 0)
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        _check_ranges(self)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class GivenConfig:
     holdout: str | None = _setting(None, "of a scene, see `scene.load.held_out`")
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        _check_ranges(self)
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class RunConfig:
     given: GivenConfig | None = _setting(None, "one's own mesh or scene")
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        _check_ranges(self)
         whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
         if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")

@@ -14,7 +14,7 @@ class InputError(ValueError):
     """
 
 
-def available_memory() -> float:
+def _available_memory() -> float:
     """Return the bytes that this process may still take: of the machine, its container and its own limit;
     infinity where the system does not say."""
     found = [math.inf]
@@ -40,7 +40,7 @@ def available_memory() -> float:
 
 def require_memory(size: float, what: str, advice: str) -> None:
     """Raise InputError when `what` takes at least `size` bytes and fewer are available."""
-    available = available_memory()
+    available = _available_memory()
     if size > available:
         raise InputError(
             f"{what} takes at least {size / 2**30:.3g} GiB of memory, {available / 2**30:.3g} GiB are "

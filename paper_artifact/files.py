@@ -47,13 +47,13 @@ def _current_folder() -> Path:
         return Path(os.sep)
 
 
-def find_checkout(package: Path) -> Path | None:
+def _find_checkout(package: Path) -> Path | None:
     """Return the top of the checkout that the folder `package` lies in, None where there is no checkout."""
     above = package.resolve().parent
     return above if (above / "data_scripts" / "meshes.csv").is_file() else None
 
 
-REPOSITORY = find_checkout(Path(__file__).parent) or _current_folder()
+REPOSITORY = _find_checkout(Path(__file__).parent) or _current_folder()
 RESULTS = Path(os.environ.get(RESULTS_VARIABLE) or REPOSITORY / "results").absolute()  # runs are written here
 OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from whatever folder one calls
 

@@ -174,7 +174,7 @@ class StudyMesh:
         """Return the record's sections of ground truth and photographs."""
         if self.given.mesh is None or target is None:
             return {}
-        return {"mesh": mesh_section(self.given.mesh, target)}
+        return {"mesh": _mesh_section(self.given.mesh, target)}
 
 
 class OwnMesh(StudyMesh):
@@ -211,7 +211,7 @@ class OwnScene(OwnMesh):
 
     def sections(self, scene: Scene, target: Target | None) -> dict[str, Any]:
         """Return the record's sections of ground truth and photographs."""
-        return super().sections(scene, target) | {"scene": scene_section(scene)}
+        return super().sections(scene, target) | {"scene": _scene_section(scene)}
 
 
 def subject_of(config: RunConfig, mesh: Mesh | None = None) -> StudyMesh:
@@ -247,16 +247,16 @@ def run(
     subject = subject_of(config, mesh)
     config, results = subject.given.config, results or subject.results
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
-        return uncontradicted(read_record(recorded), strict)
+        return _uncontradicted(read_record(recorded), strict)
     require_memory_for(config.samples)
-    bundle = target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
+    bundle = _target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = record_path(config, results / "runs")
     check_writable(path)
     scene = subject.scene(results)
     if tell is not None:
         for remark in subject.remarks(scene):
             tell(remark)
-    mesh, bundle = in_frame(scene.frame, subject.given.mesh, bundle)
+    mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
     term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
     target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
     resampler, importance = make_run_allocation(config, mesh, scene.points)
@@ -266,7 +266,7 @@ def run(
         scene,
         config,
         term=term,
-        evaluate=evaluator(config, scene, target),
+        evaluate=_evaluator(config, scene, target),
         checkpoint=checkpoint,
         progress=progress,
         device=device,
@@ -275,14 +275,14 @@ def run(
         tell=tell,
     )
     sections = {
-        "images": holdout_section(state.soup, scene),
+        "images": _holdout_section(state.soup, scene),
         "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
         "cpu_seconds": round(time.process_time() - cpu, 2),
         "resumed_at": state.resumed_at,
         **({"warnings": state.warnings} if state.warnings else {}),
         **subject.sections(scene, target),
         **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
-        **({} if term is None else term_sections(term)),
+        **({} if term is None else _term_sections(term)),
     }
     losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
     scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
@@ -290,10 +290,10 @@ def run(
     save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
     write_record(record, results / "runs")
     checkpoint.unlink(missing_ok=True)
-    return uncontradicted(record, strict)
+    return _uncontradicted(record, strict)
 
 
-def target_bundle(config: RunConfig, given: Given) -> Bundle | None:
+def _target_bundle(config: RunConfig, given: Given) -> Bundle | None:
     """Return what the run's loss acts towards; None for no loss and for stated Betti numbers. Raises
     InputError for a target without a significant bar."""
     if config.loss is None or config.loss.kind == "betti" or given.bundle is not None:
@@ -302,7 +302,7 @@ def target_bundle(config: RunConfig, given: Given) -> Bundle | None:
     return make_run_term(config, given.mesh)[1]
 
 
-def in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Mesh | None, Bundle | None]:
+def _in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Mesh | None, Bundle | None]:
     """Return the target in the coordinates of the run's frame."""
     if frame != SAME:
         mesh = None if mesh is None else mesh.framed(frame)
@@ -310,7 +310,7 @@ def in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Me
     return mesh, bundle
 
 
-def evaluator(config: RunConfig, scene: Scene, target: Target | None) -> Callable[[Soup, int], dict]:
+def _evaluator(config: RunConfig, scene: Scene, target: Target | None) -> Callable[[Soup, int], dict]:
     """Return what makes a dump of (soup, step): against the target, or alone where there is none."""
 
     def evaluate(soup: Soup, step: int) -> dict:
@@ -325,7 +325,7 @@ def evaluator(config: RunConfig, scene: Scene, target: Target | None) -> Callabl
     return evaluate
 
 
-def term_sections(term: TopologyTerm) -> dict[str, Any]:
+def _term_sections(term: TopologyTerm) -> dict[str, Any]:
     """Return the record's sections of the loss: its log, and its statement or bundle."""
     name = "statement" if isinstance(term.target, Statement) else "bundle"
     return {"topology": term.log, name: term.target.to_json()}
@@ -342,7 +342,7 @@ def audit_remarks(record: dict, kind: str) -> list[str]:
     return found
 
 
-def uncontradicted(record: dict, strict: bool) -> dict:
+def _uncontradicted(record: dict, strict: bool) -> dict:
     """Return the record. Raises InputError when strict and it contradicts its stated Betti numbers."""
     warnings = audit_remarks(record, "warnings") if strict else []
     if warnings:
@@ -356,7 +356,7 @@ def results_of(config: RunConfig) -> Path:
     return OWN if is_own(config) else RESULTS
 
 
-def holdout_section(soup: Soup, scene: Scene) -> dict:
+def _holdout_section(soup: Soup, scene: Scene) -> dict:
     """Return the record's section of the held-out views, or {"holdout_views": 0} where there are none."""
     if not len(scene.holdout):
         return {"holdout_views": 0}
@@ -368,7 +368,7 @@ def holdout_section(soup: Soup, scene: Scene) -> dict:
     }
 
 
-def mesh_section(mesh: Mesh, target: Target) -> dict:
+def _mesh_section(mesh: Mesh, target: Target) -> dict:
     """Return what a record says of the ground truth, in the user's units, and of what it is judged by."""
     return {
         "name": mesh.name,
@@ -380,7 +380,7 @@ def mesh_section(mesh: Mesh, target: Target) -> dict:
     }
 
 
-def scene_section(scene: Scene) -> dict:
+def _scene_section(scene: Scene) -> dict:
     """Return what a record says of a scene that was given."""
     height, width = scene.images.shape[2:]
     return {

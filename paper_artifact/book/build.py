@@ -116,7 +116,7 @@ def _build(
     main = main_runs(tables) if len(tables.runs) else tables.runs
     if len(main):
         write_text(folder / "figures" / "main_result.svg", picture_svg(main))
-    for name, frame in (("items", item_frame(found)), ("claims", claims), ("runs", _scalars(tables.runs))):
+    for name, frame in (("items", _item_frame(found)), ("claims", claims), ("runs", _scalars(tables.runs))):
         write_text(folder / "tables" / f"{name}.csv", csv_text(frame))
     write_text(folder / "tables" / "published.csv", csv_text(results.published()))
     progress("soups")
@@ -155,7 +155,7 @@ def _build(
     pages.write("figures.html", "figures.html", "Figures", groups=[each for each in figures if each[1]])
     pages.write("notebooks.html", "notebooks.html", "Notebooks", chapters=chapters)
     progress("reference")
-    write_reference(folder / "api")
+    _write_reference(folder / "api")
     return found
 
 
@@ -177,7 +177,7 @@ def items(claims: pd.DataFrame) -> list[Item]:
     ]
 
 
-def item_frame(found: Sequence[Item]) -> pd.DataFrame:
+def _item_frame(found: Sequence[Item]) -> pd.DataFrame:
     """Return one row per item: item, title, verdict, holds ("12 of 15"), notebooks, compared."""
     rows = [(i.name, i.title, i.word, i.tally, " ".join(i.notebooks), i.compared) for i in found]
     return pd.DataFrame(rows, columns=["item", "title", "verdict", "holds", "notebooks", "compared"])
@@ -254,7 +254,7 @@ def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tu
     return names
 
 
-def write_reference(folder: Path) -> None:
+def _write_reference(folder: Path) -> None:
     """Write pdoc's pages of the modules `API` into `folder`."""
     import pdoc
 

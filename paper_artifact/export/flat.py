@@ -36,7 +36,7 @@ MARGIN = 1.04  # of the image around the framed points
 SUPERSAMPLING = 2
 
 
-def framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camera:
+def _framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camera:
     """Return the square camera of `size` pixels whose image the points (n,3), world units, seen from
     `direction` (3,), just fill; z upwards.
 
@@ -83,7 +83,7 @@ def render_flat(
     if not np.isfinite(vertices).all() or not 0 < np.linalg.norm(towards) < np.inf:
         raise InputError("a picture needs finite vertices and a direction that is not zero")
     used = vertices[np.unique(faces)]
-    camera = framed_camera(
+    camera = _framed_camera(
         used if frame is None else np.asarray(frame, dtype=np.float64) @ turn.T, towards, size * SUPERSAMPLING
     )
     colours = _face_colours(vertices[faces], camera, material, inside)

@@ -239,7 +239,7 @@ def size_doubts(sizes: Mapping[tuple[int, int], int], size: int) -> list[str]:
     ]
 
 
-def to_linear(shown: np.ndarray) -> np.ndarray:
+def _to_linear(shown: np.ndarray) -> np.ndarray:
     """Return linear light of sRGB values, both in [0,1]."""
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
@@ -262,7 +262,7 @@ def relative_exposures(model: Any, pictures: Path) -> dict[str, float]:
         if not seen:
             continue
         with Image.open(pictures / image.name) as picture:
-            light = to_linear(np.asarray(picture.convert("RGB").reduce(2), np.float64) / 255).mean(2)
+            light = _to_linear(np.asarray(picture.convert("RGB").reduce(2), np.float64) / 255).mean(2)
         place = (np.array([xy for _, xy in seen]) / 2).astype(int)
         row, column = place[:, 1].clip(0, light.shape[0] - 1), place[:, 0].clip(0, light.shape[1] - 1)
         pairs.append((np.array([index for index, _ in seen]), light[row, column]))
@@ -292,5 +292,5 @@ def evened(picture: Image.Image, exposure: float) -> Image.Image:
     """Return an RGB picture as if it had been exposed like the mean; one within 3 % of it as it is."""
     if abs(np.log(exposure)) < SMALLEST:
         return picture
-    light = to_linear(np.asarray(picture, np.float64) / 255) / exposure
+    light = _to_linear(np.asarray(picture, np.float64) / 255) / exposure
     return Image.fromarray(np.rint(255 * to_shown(light)).astype(np.uint8))

@@ -120,6 +120,19 @@ for _function, _float, _int in (
     (operator.rshift, None, _B.lshr),
 ):
     _operator(_function, _float, _int)
+
+
+def _comparison(sign: str):
+    # The builder's calls that compare float lanes and integer lanes.
+    def by_float(builder, a, b):
+        return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
+
+    def by_int(builder, a, b):
+        return builder.icmp_signed(sign, a, b)
+
+    return by_float, by_int
+
+
 for _function, _sign in (
     (operator.lt, "<"),
     (operator.le, "<="),
@@ -128,14 +141,7 @@ for _function, _sign in (
     (operator.eq, "=="),
     (operator.ne, "!="),
 ):
-
-    def _by_float(builder, a, b, sign=_sign):
-        return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
-
-    def _by_int(builder, a, b, sign=_sign):
-        return builder.icmp_signed(sign, a, b)
-
-    _operator(_function, _by_float, _by_int, compares=True)
+    _operator(_function, *_comparison(_sign), compares=True)
 
 
 # Arrays.

@@ -54,7 +54,7 @@ class Perturbation:
 CLEAN = Perturbation()
 
 
-def noisy_image(image: np.ndarray, perturbation: Perturbation, view: int) -> np.ndarray:
+def _noisy_image(image: np.ndarray, perturbation: Perturbation, view: int) -> np.ndarray:
     """Return `image` (H,W,3) in [0,1] with Gaussian noise, clipped to [0,1]; view: its place."""
     if perturbation.image_noise == 0:
         return image
@@ -208,7 +208,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         behind = surrounding(camera) if config.background == "texture" and name in seen else background
         image = render_ground_truth(mesh, camera, behind, config.supersample, config.texture_frequency)
         if name in seen:
-            image = noisy_image(image, config.perturbation, names.index(name))
+            image = _noisy_image(image, config.perturbation, names.index(name))
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
     positions, _, _ = sample_surface(
         mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud")

@@ -107,7 +107,7 @@ def read_description(root: Path) -> dict:
 def held_files(root: Path) -> dict[str, str]:
     """Return {path within the folder: sha256 (hex)} of all files of a scene that is being built."""
     files = sorted(path for path in root.rglob("*") if path.is_file())
-    return {path.relative_to(root).as_posix(): sha256_of(path.read_bytes()) for path in files}
+    return {path.relative_to(root).as_posix(): _sha256_of(path.read_bytes()) for path in files}
 
 
 def check_files(root: Path, description: dict) -> None:
@@ -115,7 +115,7 @@ def check_files(root: Path, description: dict) -> None:
     others, and of older versions, say nothing."""
     for name, expected in description.get("files", {}).items():
         file = inside(root, name)
-        if file.is_file() and sha256_of(file.read_bytes()) != expected:
+        if file.is_file() and _sha256_of(file.read_bytes()) != expected:
             raise InputError(
                 f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
                 f'scene and build it again, or, if it was changed on purpose, "files" in {DESCRIPTION}'
@@ -131,20 +131,20 @@ def scene_digest(root: Path) -> str:
     folder = model_folder(root)
     names = sorted(pose.name for pose in read_model(folder).images.values())
     files = zip(FILES, model_files(folder), strict=True)
-    held = {f"model/{name}": sha256_of(file.read_bytes()) for name, file in files}
+    held = {f"model/{name}": _sha256_of(file.read_bytes()) for name, file in files}
     for name in names:
         if (file := image_file(root, name)) is None:
             continue  # `load_scene` leaves such views out
-        held[f"images/{name}"] = sha256_of(read_file(file))
+        held[f"images/{name}"] = _sha256_of(read_file(file))
         if (mask := mask_of(root, name)) is not None:
-            held[f"masks/{name}"] = sha256_of(read_file(mask))
+            held[f"masks/{name}"] = _sha256_of(read_file(mask))
     description = read_description(root)
     said = {key: description.get(key) for key in ("background", "radius", "holdout")}
     said["own"] = "key" in description
-    return sha256_of(json.dumps([held, said], sort_keys=True).encode())
+    return _sha256_of(json.dumps([held, said], sort_keys=True).encode())
 
 
-def sha256_of(data: bytes) -> str:
+def _sha256_of(data: bytes) -> str:
     """Return the sha256 (hex) of `data`."""
     return hashlib.sha256(data).hexdigest()
 

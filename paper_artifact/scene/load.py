@@ -229,13 +229,13 @@ def held_out(rule: str, names: Sequence[str], centres: np.ndarray) -> np.ndarray
     """Return the indices (m,) int64 of the views that are held out, increasing.
 
     names: of the views, sorted; centres (n,3): their cameras', world units. rule: "none"; a number k (every
-    k-th from the first on); names with commas between; or "auto" (`surrounded`). Raises InputError for
+    k-th from the first on); names with commas between; or "auto" (`_surrounded`). Raises InputError for
     another rule, an unknown name, or a rule that leaves no view to train on.
     """
     if rule == NONE:
         return np.arange(0)
     if rule == AUTO:
-        return surrounded(centres)
+        return _surrounded(centres)
     if rule.isdecimal():
         chosen = np.arange(0, len(names), max(1, int(rule)))
     else:
@@ -252,7 +252,7 @@ def held_out(rule: str, names: Sequence[str], centres: np.ndarray) -> np.ndarray
     return chosen
 
 
-def surrounded(centres: np.ndarray) -> np.ndarray:
+def _surrounded(centres: np.ndarray) -> np.ndarray:
     """Return of about eight consecutive views each the one whose second nearest camera is nearest, (m,).
 
     Photographs are taken along a walk, whose first view, which "every 8th" would hold out, is often the

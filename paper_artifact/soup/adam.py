@@ -70,7 +70,7 @@ _NEW1, _NEW2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
 def adam(value, gradient, mean, square, rate, eps):
     """Take one step of Adam in place; all arrays (n,) float32.
 
-    rate, eps float32: the learning rate and Adam's eps with the bias corrections in them, see `corrected`.
+    rate, eps float32: the learning rate and Adam's eps with the bias corrections in them, see `_corrected`.
     """
     for i in range(len(value)):
         g = gradient[i]
@@ -80,7 +80,7 @@ def adam(value, gradient, mean, square, rate, eps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def vector_adam(value, gradient, mean, square, rate, eps, scale):
+def _vector_adam(value, gradient, mean, square, rate, eps, scale):
     """As `adam`, but with one second moment per vector: value, gradient and mean (3·n,), square (n,); the
     rate of vector i is rate · scale[i], scale (n,) float32."""
     for i in range(len(square)):
@@ -92,7 +92,7 @@ def vector_adam(value, gradient, mean, square, rate, eps, scale):
             value[k] -= factor * mean[k]
 
 
-def corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
+def _corrected(rate: float, step: int) -> tuple[np.float32, np.float32]:
     """Return learning rate and eps with the bias corrections of `step` (from 1) in them.
 
     rate · (mean / c1) / (√(square / c2) + eps) with c = 1 - beta^step is (rate·√c2 / c1) · mean / (√square +
@@ -126,13 +126,13 @@ class KernelOptimiser:
         for name in self._steps:
             self._steps[name] += 1
         scale = np.ones(len(self._squares[0]), np.float32) if units is None else units.reshape(-1)
-        numbers = {name: corrected(rates[name], step) for name, step in self._steps.items()}
+        numbers = {name: _corrected(rates[name], step) for name, step in self._steps.items()}
         arrays = zip(NAMES, self._tensors, self._values, self._means, self._squares, strict=True)
         for name, tensor, value, mean, square in arrays:
             assert tensor.grad is not None, "a step without gradients"
             moments = value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name]
             if name == "vertices":
-                vector_adam(*moments, scale)
+                _vector_adam(*moments, scale)
             else:
                 adam(*moments)
 

@@ -32,7 +32,7 @@ PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 RespawnChoice = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return DiffSoup's order of pruning: the visible-pixel counts themselves."""
     return counts
 
@@ -57,7 +57,7 @@ class Resampler:
     split_views: int = 20  # views in which long edges are looked for
     split_height: float = 0.2  # fraction of the image height above which an edge is long
     strict: bool = False  # what splitting makes beyond the budget goes too, the least visible first
-    prune_weight: PruneWeight = by_visibility  # hook: the order of pruning
+    prune_weight: PruneWeight = _by_visibility  # hook: the order of pruning
     respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
 
     def due(self, step: int, steps: int) -> bool:

@@ -91,7 +91,7 @@ def train(
         state.losses.append(loss)
         with state.timed("topology"):
             if term is not None:
-                add_term(term, state, photometric)
+                _add_term(term, state, photometric)
         with state.timed("optimiser"):
             if state.resampled:  # as at the start
                 units = scene.units(state.soup.vertices.detach().cpu().numpy())
@@ -131,14 +131,14 @@ def start_state(
     return TrainState(0, soup, soup_optimiser(soup))
 
 
-def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
+def _add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
     """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite.
 
     photometric(step) sets the soup's gradients to those of that step's batch.
     """
     soup = state.soup
 
-    def photo_norm(batches: int = 1) -> float:
+    def photo_gradient_norm(batches: int = 1) -> float:
         own = [tensor.grad for tensor in soup.tensors()]
         norms = []
         for later in range(batches):
@@ -152,7 +152,7 @@ def add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], flo
 
     if term.due(state.step, state.resampled):
         term.refresh(state.step, soup.vertices, torch.from_numpy(soup.corner_opacity()))
-    extra = term.value(state.step, soup.vertices, photo_norm)
+    extra = term.value(state.step, soup.vertices, photo_gradient_norm)
     if extra is None:
         return
     if not torch.isfinite(extra):
