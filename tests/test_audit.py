@@ -28,6 +28,8 @@ from paper_artifact.pipeline import make_run_term
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import find_mesh
+from paper_artifact.soup.initialise import initial_soup
+from paper_artifact.soup.state import save_soup
 from paper_artifact.topology.bundle import load_bundle
 from paper_artifact.topology.floor import measurement_floor
 from tests import certify_shapes as shapes
@@ -183,6 +185,18 @@ def test_the_verb_writes_report_numbers_and_bundle(tmp_path, capsys):
     assert load_bundle(tmp_path / "out" / "bundle.json").samples == 600
     stored = json.loads((tmp_path / "out" / "audit.json").read_text())
     assert [each["samples"] for each in stored["staircase"]] == [300, 600] and len(stored["commands"]) == 3
+
+
+def test_a_soup_or_a_scene_is_asked_for_its_betti_numbers(tiny_scene, tmp_path, capsys):
+    assert cli.main(["audit", "--scene", str(tiny_scene.path)]) == 0
+    printed = capsys.readouterr().out
+    assert "--betti 1,0,1; correct what you know better" in printed and "next 0." in printed
+    assert cli.main(["audit"]) == 2 and "give a mesh" in capsys.readouterr().err
+    assert cli.main(["audit", "torus", "--scene", str(tmp_path)]) == 2
+    assert "a mesh is audited whole" in capsys.readouterr().err
+    save_soup(tmp_path / "soup.npz", initial_soup(tiny_scene.points, 400, 0))
+    assert cli.main(["audit", str(tmp_path / "soup.npz")]) == 0
+    assert "M = 16384: " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("options", [["--densities", "4"], ["--seeds", "0"], ["--seed", "-1"]])

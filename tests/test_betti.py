@@ -25,6 +25,7 @@ from paper_artifact.topology.statement import (
     finished,
     frame_diagonal,
     projected,
+    suggest,
     trimmed,
     unseen,
 )
@@ -277,6 +278,27 @@ def test_where_no_density_shows_the_classes_it_says_so():
     )
     with pytest.raises(InputError, match="needs an SfM cloud of at least 1843 points, got 1000"):
         chosen("sphere", (1, 0, 1), count=1000)
+
+
+@pytest.mark.parametrize(
+    ("shape", "betti"), [("sphere", (1, 0, 1)), ("torus", (1, 2, 1)), ("two_spheres", (2, 0, 2))]
+)
+def test_samples_suggest_their_betti_numbers(shape, betti):
+    noise = stream(1, "noise").normal(size=(20_000, 3))
+    cloud = cloud_of(shape, 20_000) + 0.002 * np.linalg.norm(np.ptp(cloud_of(shape, 100), axis=0)) * noise
+    found = suggest(lambda count: cloud[:count], (1024, 2048, 4096))
+    assert found.betti == betti and found.samples in (1024, 2048, 4096)
+    assert len(found.sentences) == 3 and "M = 2048: " in found.sentences[1]
+
+
+def test_what_hides_is_proposed_and_said():
+    cloud = cloud_of("torus", 1024)
+    found = suggest(lambda count: cloud[:count], (900,))  # the tube's loop lies below a floor
+    first, second, third = lifetimes(cloud[:900])[1][:3] / measurement_floor(cloud[:900], 1.0)
+    assert 0.75 < second < 1 < first and third < 0.4 and found.betti[1] == 2
+    assert f"2 loops ({first:.1f}, {second:.1f}; next {third:.1f}; 1 hide)" in found.sentences[0]
+    with pytest.raises(InputError, match="2048 are needed"):
+        suggest(lambda count: cloud, ())
 
 
 def test_the_frame_is_the_clouds_and_ignores_outliers():

@@ -16,6 +16,7 @@ from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
+from paper_artifact.randomness import stream
 from paper_artifact.scene.fetch import sources
 from paper_artifact.scene.shapes import SHAPES, find_mesh
 
@@ -171,7 +172,9 @@ def _place(point: np.ndarray) -> str:
 class AuditOptions(Options):
     """Options of `audit`.
 
-    mesh: {MESH}, or 'pot'
+    mesh MESH|SOUP: {MESH}, or 'pot'; of a trained soup (.npz) the Betti numbers that it shows are proposed
+    scene DIR: a COLMAP scene; without a mesh the Betti numbers that its SfM cloud shows are proposed, with a
+        soup those of what the cameras look at
     out DIR: folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)
     seeds: sampling seeds of the staircase
     seed: the first of them, which decides and which the bundle is built with
@@ -179,7 +182,8 @@ class AuditOptions(Options):
     working M: densities that the rule may choose
     """
 
-    mesh: Positional[Source]
+    mesh: Positional[Source | None] = None
+    scene: Path | None = None
     out: Path | None = None
     seeds: Annotated[int, 1] = 1
     seed: Annotated[int, 0] = 0
@@ -187,8 +191,48 @@ class AuditOptions(Options):
     working: Annotated[tuple[int, ...], 16] = WORKING
 
 
+def propose(soup: str | None, scene: Path | None) -> int:
+    """Print which Betti numbers a trained soup or a scene's SfM cloud shows. Returns 0.
+
+    Raises WrongUsage for neither, InputError for a damaged file or too few points.
+    """
+    from paper_artifact.sampling import sample_soup
+    from paper_artifact.scene.load import load_scene
+    from paper_artifact.scene.subject import subject_of_scene
+    from paper_artifact.soup.state import load_frame, load_soup
+    from paper_artifact.topology.statement import ENOUGH, cleaned, suggest
+    from paper_artifact.topology.statement import DENSITIES as SAMPLES
+
+    if soup is None and scene is None:
+        raise WrongUsage("give a mesh, a trained soup (.npz), or --scene DIR")
+    if soup is not None:
+        trained = load_soup(soup)
+        corners, opacity = load_frame(Path(soup)).outward(trained.vertices.numpy()), trained.corner_opacity()
+        if scene is not None:
+            of_it = subject_of_scene(scene).holds(corners.mean(1))
+            corners, opacity = corners[of_it], opacity[of_it]
+        found = suggest(lambda count: sample_soup(corners, opacity, count, stream(0, "propose", count))[0])
+    else:
+        given = load_scene(scene)
+        points = given.points if given.rendered else given.points[subject_of_scene(scene).holds(given.points)]
+        cloud = cleaned(points)
+        able = [count for count in SAMPLES if len(cloud) >= ENOUGH * count]
+        found = suggest(
+            lambda count: cloud[stream(0, "density", count).permutation(len(cloud))[:count]], able
+        )
+        print(f"{len(cloud)} points of the SfM cloud, cleaned; a gap in the cloud reads as a loop")
+    print(*found.sentences, "lengths of bars in floors; what is below 1 hides", sep="\n")
+    numbers = ",".join(map(str, found.betti))
+    print(f"proposal, read at M = {found.samples}: --betti {numbers}; correct what you know better")
+    return 0
+
+
 def audit(options: AuditOptions) -> int:
     """Audit, write the page, print a summary. Returns 0, also when nothing is measurable."""
+    if options.mesh is None or options.mesh.endswith(".npz"):
+        return propose(options.mesh, options.scene)
+    if options.scene is not None:
+        raise WrongUsage("--scene belongs to a soup (.npz) or stands alone; a mesh is audited whole")
     import matplotlib
 
     matplotlib.use("Agg")

@@ -15,7 +15,7 @@ instead also draws the points together along the surface: the floor falls, and n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,10 @@ SURPLUS = 0.7
 BOX = (1.0, 99.0)
 DENSITIES = (2048, 4096, 8192, 16384)
 ENOUGH = 0.9  # share of M points that a cloud must have to speak for M
+SHOWN, DISTINCT = (
+    20,
+    1.5,
+)  # bars per dimension that a suggestion looks at; how far classes stand above the rest
 ISOLATED = 3.0  # a point is left out where its neighbours are that many times as far as the median point's
 NEAR, PLANE = 16, 32  # neighbours that say whether a point is isolated, and that span its plane
 
@@ -194,15 +198,16 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
     reasons, shown = [], {}
     for samples in able:
         chosen = stream(0, "density", samples).permutation(len(points))[:samples]
-        margins = _margins(points[chosen], statement, dimensions)
+        wanted = tuple(count if d in dimensions else 0 for d, count in enumerate(statement.wanted))
+        margins = {d: each for d, each in _margins(points[chosen], wanted).items() if d in dimensions}
         shown[samples] = sum(int((each > level).sum()) for each in margins.values())
         weakest = "; ".join(f"{NAMES[d][1]} {each[-1]:.2f}" for d, each in margins.items())
-        wanted = sum(len(each) for each in margins.values())
+        asked_for = sum(len(each) for each in margins.values())
         reasons.append(
-            f"M = {samples}: {shown[samples]} of {wanted} wanted classes exceed {level:g} of the floor "
+            f"M = {samples}: {shown[samples]} of {asked_for} wanted classes exceed {level:g} of the floor "
             f"(the weakest of each dimension: {weakest})."
         )
-        if shown[samples] == wanted:
+        if shown[samples] == asked_for:
             return Density(samples, True, tuple(reasons))
     best = max(able, key=lambda samples: (shown[samples], -samples))
     asked = f"No density shows all of them; M = {best} shows most"
@@ -211,15 +216,52 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
     return Density(best, False, (*reasons, f"{asked}."))
 
 
-def _margins(points: np.ndarray, statement: Statement, dimensions: Sequence[int]) -> dict[int, np.ndarray]:
-    """Return, per dimension, the wanted bars' lifetimes over the floor, longest first (0: no such bar)."""
-    floor = measurement_floor(points, 1.0)
-    pairs = alpha_persistence(points, as_given=True)
+@dataclass(frozen=True)
+class Suggestion:
+    """What points alone say of a shape's Betti numbers, to be corrected by who knows the shape."""
+
+    betti: tuple[int, ...]  # b0, b1, b2
+    samples: int  # M, the smallest number of points at which they were read
+    sentences: tuple[str, ...]  # one per density: what shows there, in floors
+
+
+def suggest(sample: Callable[[int], np.ndarray], densities: Sequence[int] = DENSITIES) -> Suggestion:
+    """Return the Betti numbers that most densities show (the least dense of equally many).
+
+    sample(M): M points (M,3), any unit. Classes of a dimension are its longest bars, as many as stand DISTINCT
+    times above the next one, or above what noise reaches (NOISE_LEVEL floors). Raises InputError for no
+    density, and as `alpha_persistence` does for its points.
+    """
+    if not densities:
+        raise InputError(f"too few points to suggest Betti numbers; {DENSITIES[0]} are needed")
+    read, sentences = {}, []
+    for samples in densities:
+        numbers, parts = [], []
+        for dimension, margins in _margins(sample(samples), (SHOWN, SHOWN, SHOWN)).items():
+            above = margins[:-1] / np.maximum(margins[1:], NOISE_LEVEL)
+            count = int(np.flatnonzero(above >= DISTINCT)[-1]) + 1 if (above >= DISTINCT).any() else 0
+            numbers.append(count + (dimension == 0))
+            shown = ", ".join(f"{margin:.1f}" for margin in margins[:count])
+            hidden = int((margins[:count] < 1).sum())
+            parts.append(
+                f"{_counted(numbers[-1], dimension)} ({shown + '; ' if shown else ''}next {margins[count]:.1f}"
+                f"{f'; {hidden} hide' if hidden else ''})"
+            )
+        read[samples] = tuple(numbers)
+        sentences.append(f"M = {samples}: {', '.join(parts)}")
+    found = list(read.values())
+    betti = max(found, key=found.count)  # the first of equally frequent ones
+    return Suggestion(betti, next(each for each in read if read[each] == betti), tuple(sentences))
+
+
+def _margins(points: np.ndarray, wanted: Sequence[int]) -> dict[int, np.ndarray]:
+    """Return, per dimension, the lifetimes over the floor of its `wanted` longest bars, longest first (0: no
+    such bar)."""
+    floor, pairs = measurement_floor(points, 1.0), alpha_persistence(points, as_given=True)
     found = {}
-    for dimension in dimensions:
-        lifetimes = np.sort(pairs[dimension].deaths - pairs[dimension].births)[::-1]
-        wanted = statement.wanted[dimension]
-        found[dimension] = np.pad(lifetimes[:wanted], (0, max(0, wanted - len(lifetimes)))) / floor
+    for dimension, count in enumerate(wanted):
+        lifetimes = np.sort(pairs[dimension].deaths - pairs[dimension].births)[::-1][:count]
+        found[dimension] = np.pad(lifetimes, (0, count - len(lifetimes))) / floor
     return found
 
 
