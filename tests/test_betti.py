@@ -296,7 +296,7 @@ def test_what_hides_is_proposed_and_said():
     found = suggest(lambda count: cloud[:count], (900,))  # the tube's loop lies below a floor
     first, second, third = lifetimes(cloud[:900])[1][:3] / measurement_floor(cloud[:900], 1.0)
     assert 0.75 < second < 1 < first and third < 0.4 and found.betti[1] == 2
-    assert f"2 loops ({first:.1f}, {second:.1f}; next {third:.1f}; 1 hide)" in found.sentences[0]
+    assert f"2 loops ({first:.1f}, {second:.1f}, next {third:.1f}; 1 hide)" in found.sentences[0]
     with pytest.raises(InputError, match="2048 are needed"):
         suggest(lambda count: cloud, ())
 

@@ -200,8 +200,8 @@ def propose(soup: str | None, scene: Path | None) -> int:
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.subject import subject_of_scene
     from paper_artifact.soup.state import load_frame, load_soup
-    from paper_artifact.topology.statement import ENOUGH, cleaned, suggest
     from paper_artifact.topology.statement import DENSITIES as SAMPLES
+    from paper_artifact.topology.statement import ENOUGH, cleaned, suggest
 
     if soup is None and scene is None:
         raise WrongUsage("give a mesh, a trained soup (.npz), or --scene DIR")

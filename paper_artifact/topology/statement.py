@@ -228,8 +228,8 @@ class Suggestion:
 def suggest(sample: Callable[[int], np.ndarray], densities: Sequence[int] = DENSITIES) -> Suggestion:
     """Return the Betti numbers that most densities show (the least dense of equally many).
 
-    sample(M): M points (M,3), any unit. Classes of a dimension are its longest bars, as many as stand DISTINCT
-    times above the next one, or above what noise reaches (NOISE_LEVEL floors). Raises InputError for no
+    sample(M): M points (M,3), any unit. Classes of a dimension are its longest bars, as many as are DISTINCT
+    times as long as the next one and as what noise reaches (NOISE_LEVEL floors). Raises InputError for no
     density, and as `alpha_persistence` does for its points.
     """
     if not densities:
@@ -241,12 +241,10 @@ def suggest(sample: Callable[[int], np.ndarray], densities: Sequence[int] = DENS
             above = margins[:-1] / np.maximum(margins[1:], NOISE_LEVEL)
             count = int(np.flatnonzero(above >= DISTINCT)[-1]) + 1 if (above >= DISTINCT).any() else 0
             numbers.append(count + (dimension == 0))
-            shown = ", ".join(f"{margin:.1f}" for margin in margins[:count])
+            shown = "".join(f"{margin:.1f}, " for margin in margins[:count])
             hidden = int((margins[:count] < 1).sum())
-            parts.append(
-                f"{_counted(numbers[-1], dimension)} ({shown + '; ' if shown else ''}next {margins[count]:.1f}"
-                f"{f'; {hidden} hide' if hidden else ''})"
-            )
+            hides = f"; {hidden} hide" if hidden else ""
+            parts.append(f"{_counted(numbers[-1], dimension)} ({shown}next {margins[count]:.1f}{hides})")
         read[samples] = tuple(numbers)
         sentences.append(f"M = {samples}: {', '.join(parts)}")
     found = list(read.values())
