@@ -133,9 +133,15 @@ CONDITIONS: tuple[Condition, ...] = (
         "#7fb0fa",
         LossConfig("betti", guard=0.0, suppress="all"),
     ),
+    Condition(
+        "T3",
+        "stated Betti numbers; each class the SfM cloud shows is pulled up to its death there, no further",
+        "#130637",
+        LossConfig("betti", aim="cloud"),
+    ),
 )
 
-MARKERS = (*"os^vDPX<>phd*8H", (4, 1, 0), (6, 1, 0))  # of the conditions, in the order of their rows
+MARKERS = (*"os^vDPX<>phd*8H", (4, 1, 0), (6, 1, 0), (8, 1, 0))  # of the conditions, in the order of their rows
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
 
 

@@ -103,8 +103,8 @@ class LossConfig:
     )
     aim: str = _setting(
         "deaths",
-        "of wanted bars: deaths beyond theirs by `pull`, the smoothed cloud's, clean births",
-        choices=("deaths", "smoothed", "births", "none"),
+        "of wanted bars: deaths beyond theirs by `pull`, of the smoothed or the SfM cloud, clean births",
+        choices=("deaths", "smoothed", "cloud", "births", "none"),
     )
     pull: float = _setting(
         2.0, "target of a wanted death beyond itself, in live median spacings", 0, high=1e6
@@ -114,7 +114,7 @@ class LossConfig:
         _check_ranges(self)
         if self.samples == 0 and self.kind != "betti":
             raise InputError(
-                f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1, T2); for {self.kind!r} "
+                f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1 to T3); for {self.kind!r} "
                 "give the number that `python -m paper_artifact audit` finds"
             )
         if 0 < self.samples < 4:
@@ -359,7 +359,7 @@ def _check_betti(loss: LossConfig) -> None:
     if numbers is None:
         return
     if loss.kind != "betti":
-        raise InputError(f"betti belongs to the loss kind 'betti' (conditions T1, T2), not to {loss.kind!r}")
+        raise InputError(f"betti belongs to the loss kind 'betti' (conditions T1 to T3), not to {loss.kind!r}")
     words = "betti takes three whole numbers b0,b1,b2 (components, loops, voids)"
     if not isinstance(numbers, tuple) or len(numbers) != 3 or any(type(each) is not int for each in numbers):
         raise InputError(f"{words}, got {_brief(numbers)}")

@@ -17,6 +17,7 @@ from paper_artifact.scene.shapes import make_shape
 from paper_artifact.topology import BettiLoss, cleaned
 from paper_artifact.topology.bundle import build_bundle
 from paper_artifact.topology.floor import measurement_floor
+from paper_artifact.topology.loss import build_betti_plan
 from paper_artifact.topology.plan import DIAGONAL, NONE
 from paper_artifact.topology.statement import (
     Statement,
@@ -24,9 +25,11 @@ from paper_artifact.topology.statement import (
     contradictions,
     finished,
     frame_diagonal,
+    measured_on,
     projected,
     suggest,
     trimmed,
+    unmeasured,
     unseen,
 )
 from paper_artifact.topology.term import LEAST_RATIO, TopologyTerm, peak_weight
@@ -98,6 +101,27 @@ def test_wanted_bars_are_pulled_by_their_deaths_alone():
         longer = BettiLoss((1, 1, 0), "soup", diagonal=1.0, guard=0.0, dimensions=(1,), refresh_every=0)
         one = longer.refresh(points - 0.01 * points.grad / points.grad.norm())
     assert one.pulls.values[0, 1] > longer.refresh(points).pulls.values[0, 1]
+
+
+def test_classes_are_pulled_up_to_the_clouds_deaths_and_no_further():
+    cloud = cloud_of("torus", 2000)
+    statement = measured_on(cloud, Statement((1, 3, 1), frame_diagonal(cloud)), 2000)
+    deaths = [np.sort(pairs.deaths)[::-1] for pairs in alpha_persistence(cloud / statement.diagonal)]
+    assert np.allclose(statement.shown[1], deaths[1][:2]) and statement.shown[0] == statement.shown[2] == ()
+    sentences = unmeasured(statement, 2000)  # the void lies below a floor, the third loop is none
+    assert len(sentences) == 2 and "you said 3 loops; at M = 2000 the SfM cloud shows 2" in sentences[0]
+    config = LossConfig("betti", betti=(1, 3, 1), aim="cloud", samples=2000)
+    for scale, pulled in ((0.9, True), (1.1, False)):  # a soup with narrower loops, and one with wider ones
+        plan = build_betti_plan(scale * cloud / statement.diagonal, statement, config)
+        of_loops = plan.report["dimensions"]["1"]
+        aims = np.array([each["target"][1] for each in of_loops["targets"]])
+        lives = np.array([each["live"][1] for each in of_loops["targets"]])
+        assert of_loops["wanted"] == 3 and of_loops["matched"] == 2
+        assert np.allclose(aims, statement.shown[1] if pulled else lives, rtol=1e-9)
+        loss = plan.value(torch.from_numpy(scale * cloud / statement.diagonal)[plan.used])
+        assert float(loss) == pytest.approx(((aims - lives) ** 2).sum(), rel=1e-6, abs=1e-12)
+    with pytest.raises(InputError, match="condition T3"):
+        BettiLoss((1, 1, 0), aim="cloud")
 
 
 def test_a_hole_grows():

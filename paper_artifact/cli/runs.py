@@ -42,7 +42,7 @@ class Train(OwnSceneOptions):
         settings: {SET}
     loss NAME=VALUE: change a setting of the condition's loss, e.g. --loss rho=0.2 --loss samples=8192
         --loss dimensions=1,2; samples=auto with --betti; settings: {LOSS}
-    betti B0,B1,B2: the shape's stated Betti numbers, for T1 and T2: components, loops, voids, e.g. 1,2,1
+    betti B0,B1,B2: the shape's stated Betti numbers, for T1 to T3: components, loops, voids, e.g. 1,2,1
         for a torus (default: the study's, for a shape of the study)
     strict: stop where the images contradict --betti, or end in an error where the finished soup does, instead
         of a warning
@@ -278,7 +278,7 @@ class Sweep(OwnSceneOptions):
     executor: where they run
     scheduler ADDRESS: of the Dask scheduler (tcp://host:8786), with --executor dask
     steps: of each run, with --scene
-    betti B0,B1,B2: for T1 and T2, with --scene
+    betti B0,B1,B2: for T1 to T3, with --scene
     changes/set NAME=VALUE: change any other setting, with --scene
     listing/list: only say what is recorded and what is missing
     verify: train what is recorded again elsewhere and compare: the same bits, or the first value that differs

@@ -15,7 +15,9 @@ all beyond k). With d_ref the death at the refresh,
     L = Σ_W (d - (d_ref + pull · r))² + Σ_R ((d - b) / 2)²,
 
 a practically linear pull of the wanted deaths, and the paper's diagonal term for the rest. Births of wanted
-bars are free: sampling sets them. Alternative targets of the wanted bars are ablations (`LossConfig.aim`):
+bars are free: sampling sets them. With the aim "cloud" (T3) W are the first bars of as many classes as the
+SfM cloud shows, pulled up to its deaths and no further, without a guard: the statement says which of the
+cloud's bars count, the cloud how far. Other targets of the wanted bars are ablations (`LossConfig.aim`):
 "smoothed" (S16): at least the death of the bar of the same rank in the cloud whose points are means of 16
 neighbours; "births": deaths are free, and births go to what a clean sample of the same spacing has; "none":
 wanted bars are not pulled at all.
@@ -182,6 +184,8 @@ class BettiLoss(PlannedLoss):
         if preset not in PRESETS:
             raise InputError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
         super().__init__(LossConfig("betti"), {"betti": betti, **PRESETS[preset], **settings}, seed)
+        if self.config.aim == "cloud":
+            raise InputError("aim='cloud' needs a scene's SfM cloud (condition T3); choose another aim")
         self.betti = self.config.betti or ()
         self.statement = None if diagonal is None else Statement(self.betti, diagonal)
         self._warned = False
@@ -220,14 +224,21 @@ def build_betti_plan(cloud: np.ndarray, statement: Statement, config: LossConfig
     floor = measurement_floor(cloud, 1.0)
 
     def claim(dimension: int, bars: np.ndarray) -> Claims:
-        claims = _ranked(bars, dimension, statement.wanted[dimension], floor, config)
-        return claims if config.aim == "deaths" else _aimed_otherwise(claims, bars, dimension, cloud, config)
+        claims = _ranked(bars, dimension, statement, floor, config)
+        return (
+            claims
+            if config.aim in ("deaths", "cloud")
+            else _aimed_otherwise(claims, bars, dimension, cloud, config)
+        )
 
     return make_plan(cloud, config.dimensions or (0, 1, 2), claim, floor, floor, config)
 
 
-def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config: LossConfig) -> Claims:
+def _ranked(
+    bars: np.ndarray, dimension: int, statement: Statement, floor: float, config: LossConfig
+) -> Claims:
     """Return what pulls the live `bars` (k,2) of one dimension: W, then R."""
+    wanted = statement.wanted[dimension]
     if wanted > len(bars):
         raise InputError(
             f"betti asks for {wanted} finite bars of dimension {dimension} ({NAMES[dimension][1]}), but the "
@@ -237,6 +248,11 @@ def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config:
     order = np.argsort(-lifetimes, kind="stable")
     first, others = order[:wanted], order[wanted:]
     chosen = first[lifetimes[first] > config.guard * floor]
+    aims = bars[chosen] + [0.0, config.pull * floor / MULTIPLIER]
+    if statement.shown is not None:
+        shown = np.array(statement.shown[dimension])
+        chosen = first[: len(shown)]
+        aims = np.column_stack([bars[chosen, 0], np.maximum(bars[chosen, 1], shown)])
     if config.suppress == "none":
         others = others[:0]
     elif config.suppress == "floor" or dimension == 0:
@@ -246,7 +262,7 @@ def _ranked(bars: np.ndarray, dimension: int, wanted: int, floor: float, config:
         rows=np.concatenate([chosen, others]),
         targets=np.concatenate([np.arange(len(chosen)), np.full(len(others), NONE)]),
         kinds=np.repeat([MATCHED, DIAGONAL], [len(chosen), len(others)]),
-        aims=bars[chosen] + [0.0, config.pull * floor / MULTIPLIER],
+        aims=aims,
         free=BIRTHS,
         report={
             "wanted": wanted,

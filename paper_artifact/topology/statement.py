@@ -16,7 +16,7 @@ instead also draws the points together along the surface: the floor falls, and n
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,9 @@ class Statement:
     betti: tuple[int, ...]  # b0, b1, b2
     diagonal: float  # the unit of births, deaths and floor, world units
     samples: int | None = None  # M of the live cloud; None: any number
+    # Per dimension, the deaths / diagonal of the stated classes that the SfM cloud shows, the longest bar
+    # first; None: nothing was asked of the cloud (`LossConfig.aim`).
+    shown: tuple[tuple[float, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         check_diagonal(self.diagonal)
@@ -73,7 +76,8 @@ class Statement:
 
     def to_json(self) -> dict:
         """Return the statement as a JSON-able dict, for a run record."""
-        return {"betti": list(self.betti), "diagonal": self.diagonal, "samples": self.samples}
+        said = {"betti": list(self.betti), "diagonal": self.diagonal, "samples": self.samples}
+        return said if self.shown is None else said | {"shown": [list(each) for each in self.shown]}
 
 
 def frame_diagonal(points: np.ndarray) -> float:
@@ -89,6 +93,30 @@ def frame_diagonal(points: np.ndarray) -> float:
     if not diagonal > 0:
         raise InputError("all points lie in one place, which has no extent to measure by; check the cloud")
     return diagonal
+
+
+def measured_on(points: np.ndarray, statement: Statement, samples: int) -> Statement:
+    """Return the statement with what M = `samples` of the cloud `points` (n,3), world units, show of it above
+    one floor. Raises InputError as `alpha_persistence` does."""
+    chosen = stream(0, "density", samples).permutation(len(points))[:samples]
+    cloud = points[chosen] / statement.diagonal
+    floor, pairs = measurement_floor(cloud, 1.0), alpha_persistence(cloud, as_given=True)
+    shown = []
+    for each, wanted in zip(pairs, statement.wanted, strict=True):
+        lifetimes = each.deaths - each.births
+        longest = np.argsort(-lifetimes, kind="stable")[:wanted]
+        shown.append(tuple(each.deaths[longest[lifetimes[longest] > floor]].tolist()))
+    return replace(statement, shown=tuple(shown))
+
+
+def unmeasured(statement: Statement, samples: int) -> list[str]:
+    """Return one sentence for each dimension of which the SfM cloud does not show all stated classes."""
+    return [
+        f"you said {_counted(statement.betti[d], d)}; at M = {samples} the SfM cloud shows "
+        f"{len(shown) + (d == 0) or 'none'}: the rest is neither pulled nor filled in"
+        for d, shown in enumerate(statement.shown or ())
+        if len(shown) < statement.wanted[d]
+    ]
 
 
 def noise_level(config: LossConfig) -> float:

@@ -43,6 +43,8 @@ from paper_artifact.topology.statement import (
     cleaned,
     contradictions,
     frame_diagonal,
+    measured_on,
+    unmeasured,
     unseen,
 )
 
@@ -308,6 +310,10 @@ def statement_term(
         if tell is not None:
             for reason in density.reasons:
                 tell(reason)
+    if loss.aim == "cloud":
+        statement = measured_on(cleaned(points), statement, loss.samples)
+        for sentence in unmeasured(statement, loss.samples) if tell is not None else ():
+            tell(sentence)
     term = TopologyTerm(loss, replace(statement, samples=loss.samples), steps, seed, strict=strict, tell=tell)
     term.log += log
     return term
