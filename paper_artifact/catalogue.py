@@ -141,7 +141,7 @@ CONDITIONS: tuple[Condition, ...] = (
     ),
 )
 
-MARKERS = (*"os^vDPX<>phd*8H", (4, 1, 0), (6, 1, 0), (8, 1, 0))  # of the conditions, in the order of their rows
+MARKERS = (*"os^vDPX<>phd*8H", (4, 1, 0), (6, 1, 0), (8, 1, 0))  # of the conditions' rows
 BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdict compares
 
 

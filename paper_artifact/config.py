@@ -359,7 +359,7 @@ def _check_betti(loss: LossConfig) -> None:
     if numbers is None:
         return
     if loss.kind != "betti":
-        raise InputError(f"betti belongs to the loss kind 'betti' (conditions T1 to T3), not to {loss.kind!r}")
+        raise InputError(f"betti belongs to the loss kind 'betti' (T1 to T3), not to {loss.kind!r}")
     words = "betti takes three whole numbers b0,b1,b2 (components, loops, voids)"
     if not isinstance(numbers, tuple) or len(numbers) != 3 or any(type(each) is not int for each in numbers):
         raise InputError(f"{words}, got {_brief(numbers)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,6 +121,10 @@ def test_classes_are_pulled_up_to_the_clouds_deaths_and_no_further():
         assert np.allclose(aims, statement.shown[1] if pulled else lives, rtol=1e-9)
         loss = plan.value(torch.from_numpy(scale * cloud / statement.diagonal)[plan.used])
         assert float(loss) == pytest.approx(((aims - lives) ** 2).sum(), rel=1e-6, abs=1e-12)
+    fewer = measured_on(cloud, Statement((1, 1, 1), statement.diagonal), 2000)  # as a cloud with gaps
+    assert fewer.shown[1] is None and "shows more" in unmeasured(fewer, 2000)[0]
+    plan = build_betti_plan(cloud / statement.diagonal, fewer, replace(config, betti=(1, 1, 1)))
+    assert len(plan.used) == 0 and plan.report["dimensions"]["1"]["surplus"] == 1
     with pytest.raises(InputError, match="condition T3"):
         BettiLoss((1, 1, 0), aim="cloud")
 

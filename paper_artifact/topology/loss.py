@@ -17,7 +17,8 @@ all beyond k). With d_ref the death at the refresh,
 a practically linear pull of the wanted deaths, and the paper's diagonal term for the rest. Births of wanted
 bars are free: sampling sets them. With the aim "cloud" (T3) W are the first bars of as many classes as the
 SfM cloud shows, pulled up to its deaths and no further, without a guard: the statement says which of the
-cloud's bars count, the cloud how far. Other targets of the wanted bars are ablations (`LossConfig.aim`):
+cloud's bars count, the cloud how far. In a dimension in which the cloud shows more, it does nothing. Other
+targets of the wanted bars are ablations (`LossConfig.aim`):
 "smoothed" (S16): at least the death of the bar of the same rank in the cloud whose points are means of 16
 neighbours; "births": deaths are free, and births go to what a clean sample of the same spacing has; "none":
 wanted bars are not pulled at all.
@@ -249,14 +250,14 @@ def _ranked(
     first, others = order[:wanted], order[wanted:]
     chosen = first[lifetimes[first] > config.guard * floor]
     aims = bars[chosen] + [0.0, config.pull * floor / MULTIPLIER]
-    if statement.shown is not None:
-        shown = np.array(statement.shown[dimension])
-        chosen = first[: len(shown)]
-        aims = np.column_stack([bars[chosen, 0], np.maximum(bars[chosen, 1], shown)])
     if config.suppress == "none":
         others = others[:0]
     elif config.suppress == "floor" or dimension == 0:
         others = others[lifetimes[others] > floor]
+    if statement.shown is not None:
+        shown = statement.shown[dimension]
+        chosen, others = first[: len(shown or ())], others[:0] if shown is None else others
+        aims = np.column_stack([bars[chosen, 0], np.maximum(bars[chosen, 1], shown or ())])
     margins = lifetimes[order[: wanted + KEPT]] / floor
     return Claims(
         rows=np.concatenate([chosen, others]),

@@ -57,8 +57,8 @@ class Statement:
     diagonal: float  # the unit of births, deaths and floor, world units
     samples: int | None = None  # M of the live cloud; None: any number
     # Per dimension, the deaths / diagonal of the stated classes that the SfM cloud shows, the longest bar
-    # first; None: nothing was asked of the cloud (`LossConfig.aim`).
-    shown: tuple[tuple[float, ...], ...] | None = None
+    # first, None where it shows more than stated; None: nothing was asked of the cloud (`LossConfig.aim`).
+    shown: tuple[tuple[float, ...] | None, ...] | None = None
 
     def __post_init__(self) -> None:
         check_diagonal(self.diagonal)
@@ -77,7 +77,7 @@ class Statement:
     def to_json(self) -> dict:
         """Return the statement as a JSON-able dict, for a run record."""
         said = {"betti": list(self.betti), "diagonal": self.diagonal, "samples": self.samples}
-        return said if self.shown is None else said | {"shown": [list(each) for each in self.shown]}
+        return said if self.shown is None else said | {"shown": self.shown}
 
 
 def frame_diagonal(points: np.ndarray) -> float:
@@ -97,26 +97,30 @@ def frame_diagonal(points: np.ndarray) -> float:
 
 def measured_on(points: np.ndarray, statement: Statement, samples: int) -> Statement:
     """Return the statement with what M = `samples` of the cloud `points` (n,3), world units, show of it above
-    one floor. Raises InputError as `alpha_persistence` does."""
+    one floor. A cloud that shows more than stated, as one with gaps does, measures nothing in that dimension.
+    Raises InputError as `alpha_persistence` does."""
     chosen = stream(0, "density", samples).permutation(len(points))[:samples]
     cloud = points[chosen] / statement.diagonal
     floor, pairs = measurement_floor(cloud, 1.0), alpha_persistence(cloud, as_given=True)
-    shown = []
+    shown: list[tuple[float, ...] | None] = []
     for each, wanted in zip(pairs, statement.wanted, strict=True):
         lifetimes = each.deaths - each.births
-        longest = np.argsort(-lifetimes, kind="stable")[:wanted]
-        shown.append(tuple(each.deaths[longest[lifetimes[longest] > floor]].tolist()))
+        longest = np.argsort(-lifetimes, kind="stable")[: (lifetimes > floor).sum()]
+        shown.append(tuple(each.deaths[longest].tolist()) if len(longest) <= wanted else None)
     return replace(statement, shown=tuple(shown))
 
 
 def unmeasured(statement: Statement, samples: int) -> list[str]:
-    """Return one sentence for each dimension of which the SfM cloud does not show all stated classes."""
-    return [
-        f"you said {_counted(statement.betti[d], d)}; at M = {samples} the SfM cloud shows "
-        f"{len(shown) + (d == 0) or 'none'}: the rest is neither pulled nor filled in"
-        for d, shown in enumerate(statement.shown or ())
-        if len(shown) < statement.wanted[d]
-    ]
+    """Return one sentence for each dimension of which the SfM cloud does not show what is stated."""
+    found = []
+    for dimension, shown in enumerate(statement.shown or ()):
+        said = f"you said {_counted(statement.betti[dimension], dimension)}; at M = {samples} the SfM cloud"
+        if shown is None:
+            found.append(f"{said} shows more, as one with gaps does: the loss leaves them to the images")
+        elif len(shown) < statement.wanted[dimension]:
+            seen = len(shown) + (dimension == 0) or "none"
+            found.append(f"{said} shows {seen}: the rest is neither pulled nor filled in")
+    return found
 
 
 def noise_level(config: LossConfig) -> float:

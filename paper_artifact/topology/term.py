@@ -312,8 +312,9 @@ def statement_term(
                 tell(reason)
     if loss.aim == "cloud":
         statement = measured_on(cleaned(points), statement, loss.samples)
-        for sentence in unmeasured(statement, loss.samples) if tell is not None else ():
-            tell(sentence)
+        if tell is not None:
+            for sentence in unmeasured(statement, loss.samples):
+                tell(sentence)
     term = TopologyTerm(loss, replace(statement, samples=loss.samples), steps, seed, strict=strict, tell=tell)
     term.log += log
     return term
