@@ -58,12 +58,6 @@ def test_depth_runs_from_minus_one_at_near_to_one_at_far():
         assert (ndc[2], w) == pytest.approx((expected, depth), abs=1e-9)
 
 
-def test_rotations_are_proper():
-    for camera in fibonacci_cameras(make_shape("cube"), 24, 64):
-        np.testing.assert_allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(camera.rotation) == pytest.approx(1)
-
-
 @pytest.mark.parametrize("count", [1, 24, 72])
 def test_fibonacci_views_are_spread_evenly(count):
     directions = fibonacci_directions(count)

@@ -26,7 +26,6 @@ from paper_artifact.record.store import config_hash
     "changes, words",
     [
         ({"steps": 0}, "steps must be at least 1"),
-        ({"steps": -5}, "steps must be at least 1"),
         ({"steps": 2.5}, "steps takes a value of kind int, got 2.5"),
         ({"budget": 0}, "budget must be"),
         ({"budget": True}, "budget takes a value of kind int"),
@@ -59,7 +58,6 @@ from paper_artifact.record.store import config_hash
         ({"loss": {"recruitment": 1}}, "recruitment takes a value of kind bool"),
         ({"condition": "C0", "loss": {"rho": 1.0}}, "condition C0 has no loss, so it takes no loss settings"),
         ({"condition": "C9"}, "unknown condition 'C9'; choose one of C0, C1"),
-        ({"condition": "B6"}, "unknown condition 'B6'"),
         ({"loss": {"calibration_batches": 0}}, "calibration_batches must be at least 1"),
         ({"loss": {"samples": "auto"}}, "samples=auto belongs to the loss kind 'betti'"),
         ({"loss": {"betti": (1, 2, 1)}}, "belongs to the loss kind 'betti'"),
@@ -71,7 +69,6 @@ from paper_artifact.record.store import config_hash
         ),
         ({"allocation": {"spread": 2.0}}, "condition C1 has no allocation"),
         ({"condition": "B2", "allocation": {"spread": 0.0}}, "spread must be positive"),
-        ({"condition": "B2", "allocation": {"spread": -1}}, "spread must be positive"),
         ({"condition": "B2", "allocation": {"subdivided": 1.5}}, "must be at least 0 and at most 1"),
         ({"condition": "B2", "allocation": {"protection": -1.0}}, "protection must be at least 0"),
         ({"condition": "B2", "allocation": {"centres": "none"}}, "unknown centres 'none'"),

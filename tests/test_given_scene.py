@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from paper_artifact.files import OWN, RESULTS
 from paper_artifact.pipeline import remarks, results_of, run
 from paper_artifact.record.store import find_records, recorded_path
 from paper_artifact.scene.build import SceneConfig, build_scene
-from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
 from paper_artifact.scene.given import resolve
 from paper_artifact.scene.load import held_out, load_scene
@@ -311,13 +309,6 @@ def test_names_that_nearly_match_and_views_without_image(own, capsys):
         file.unlink()
     with pytest.raises(InputError, match=r"no image at .* \(10 of 11 are missing\)"):
         load_scene(own)
-
-
-def test_cameras_of_models_newer_than_this_package_are_to_be_undistorted(own):
-    file = own / "sparse" / "0" / "cameras.bin"
-    file.write_bytes(struct.pack("<QiiQQ5d", 1, 1, 13, 44, 44, *[1.0] * 5))
-    with pytest.raises(InputError, match="camera 1 is a number 13 camera; undistort first"):
-        read_model(file.parent)
 
 
 def test_settings_of_given_data_are_typed_and_name_a_run():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from paper_artifact.errors import InputError
 from paper_artifact.mesh import Mesh
 from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, fibonacci_cameras, world_to_clip
@@ -109,8 +108,3 @@ def test_supersampling_gives_the_covered_fraction_at_the_edge():
     # The sphere's outline is a circle of angular radius asin(1/3).
     radius = camera.focal_x * np.tan(np.arcsin(1 / 3))
     assert (1 - uncovered).sum() == pytest.approx(np.pi * radius**2, rel=0.01)
-
-
-def test_an_unknown_background_is_refused():
-    with pytest.raises(InputError, match="unknown background 'pink'; choose one of white, black"):
-        background_colour("pink")

@@ -32,16 +32,6 @@ def test_every_common_format_gives_the_same_closed_surface(tmp_path, kind):
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(6)
 
 
-def test_texture_seams_do_not_open_the_surface(tmp_path):
-    path = tmp_path / "seam.obj"
-    path.write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\n"
-        "f 1/1 3/2 2/3\nf 1/2 2/4 4/1\nf 1/3 4/1 3/4\nf 2/1 3/2 4/4\n"
-    )
-    mesh = load_mesh(path)
-    assert (len(mesh.vertices), len(mesh.faces), open_edges(mesh.faces)) == (4, 4, 0)
-
-
 def test_welding_can_be_left_out(tmp_path):
     box().export(tmp_path / "box.stl")
     assert len(load_mesh(tmp_path / "box.stl").vertices) == 8

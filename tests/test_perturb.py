@@ -96,7 +96,6 @@ def test_a_patterned_surrounding_is_behind_the_training_views(clean, tmp_path):
     [
         ({"image_noise": -0.1}, "image_noise must be at least 0 and below 1, got -0.1"),
         ({"cloud_missing": 0.95}, "cloud_missing must be at least 0 and below 0.9, got 0.95"),
-        ({"background": "green"}, "unknown background 'green'; choose one of white, black, texture"),
     ],
 )
 def test_values_out_of_range_are_refused(changes, words):

@@ -22,6 +22,7 @@ from paper_artifact.scene.load import load_ground_truth, load_scene
 from paper_artifact.scene.shapes import make_shape
 from tests.colmap_text import write_text_model
 
+VIEW = "images/view_004.png"
 SMALL = SceneConfig(views=10, size=24, supersample=2, points=400)
 
 
@@ -95,22 +96,6 @@ def test_another_scene_or_foreign_content_is_never_overwritten(torus_scene, tmp_
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "precious"
 
 
-def test_a_failing_build_leaves_nothing(tmp_path, monkeypatch):
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("paper_artifact.scene.build.write_model", fail)
-    with pytest.raises(InputError, match="No space left on device"):
-        build_scene(make_shape("cube"), replace(SMALL, views=2), tmp_path / "scene")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write the scene to"):
-        build_scene(make_shape("cube"), SMALL, tmp_path / "file" / "scene")
-
-
 def test_folders_by_content_differ_with_mesh_and_configuration(tmp_path):
     cube, torus = make_shape("cube"), make_shape("torus")
     folders = {
@@ -166,35 +151,18 @@ def test_images_smaller_than_the_camera_are_welcome_in_the_same_aspect(damaged):
     np.testing.assert_array_equal(half.world_to_clip, before.world_to_clip)
 
 
-def shrink_one(folder):
-    Image.new("RGB", (12, 12)).save(folder / "images" / "view_004.png")
-
-
-def widen_one(folder):
-    Image.new("RGB", (60, 24)).save(folder / "images" / "view_004.png")
-
-
-def cut_one(folder):
-    file = folder / "images" / "view_004.png"
-    file.write_bytes(file.read_bytes()[:200])
-
-
-def deepen_one(folder):
-    Image.fromarray(np.zeros((24, 24), np.uint16)).save(folder / "images" / "view_004.png")
-
-
 @pytest.mark.parametrize(
     "damage, words",
     [
-        (lambda folder: (folder / "images" / "view_004.png").unlink(), "no image at .*view_004.png"),
+        (lambda folder: (folder / VIEW).unlink(), "no image at .*view_004.png"),
+        (lambda folder: (folder / VIEW).write_text("no picture"), "view_004.png is no image of the kinds"),
+        (lambda folder: os.truncate(folder / VIEW, 200), "view_004.png is damaged or no image"),
         (
-            lambda folder: (folder / "images" / "view_004.png").write_text("no picture"),
-            "view_004.png is no image of the kinds",
+            lambda folder: Image.new("RGB", (12, 12)).save(folder / VIEW),
+            r"several sizes, 24×24 \(\d+\), 12×12 \(1\), .*photos",
         ),
-        (cut_one, "view_004.png is damaged or no image"),
-        (shrink_one, r"several sizes, 24×24 \(\d+\), 12×12 \(1\), .*photos"),
-        (widen_one, "60×24 pixels, another aspect"),
-        (deepen_one, "convert it to 8-bit RGB"),
+        (lambda folder: Image.new("RGB", (60, 24)).save(folder / VIEW), "60×24 pixels, another aspect"),
+        (lambda folder: Image.new("I;16", (24, 24)).save(folder / VIEW), "convert it to 8-bit RGB"),
         (lambda folder: (folder / "sparse" / "0" / "points3D.bin").unlink(), "points3D.bin"),
         (lambda folder: (folder / "scene.json").write_text("{"), "scene.json is damaged"),
         (
@@ -207,15 +175,6 @@ def test_damaged_scenes_are_refused(damaged, damage, words):
     damage(damaged)
     with pytest.raises(InputError, match=words):
         load_scene(damaged)
-
-
-def test_a_damaged_ground_truth_and_a_missing_folder_are_refused(damaged, tmp_path):
-    file = damaged / "ground_truth.npz"
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(InputError, match="ground_truth.npz is damaged"):
-        load_ground_truth(damaged)
-    with pytest.raises(InputError, match="no scene folder at"):
-        load_scene(tmp_path / "absent")
 
 
 @pytest.mark.parametrize("name", ["sparse/0/points3D.bin", "images/view_003.png", "ground_truth.npz"])
@@ -265,15 +224,12 @@ def test_npz_files_are_read_whole_or_refused(tmp_path):
     stored = load_npz(path)
     assert set(stored) == {"one", "two"} and stored["one"].tolist() == [0, 1, 2]
     whole = path.read_bytes()
-    np.savez(tmp_path / "pickle.npz", one=np.array([{}], dtype=object))
     flipped = bytearray(whole)
     flipped[whole.index(b"NUMPY") + 8] ^= 255
     for damaged in (whole[:100], whole[:-30], b"", b"no archive", bytes(flipped)):
         path.write_bytes(damaged)
         with pytest.raises(ValueError):
             load_npz(path)
-    with pytest.raises(ValueError, match="pickled objects"):
-        load_npz(tmp_path / "pickle.npz")
     with pytest.raises(OSError):
         load_npz(tmp_path / "none.npz")
 
