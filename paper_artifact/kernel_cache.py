@@ -28,6 +28,7 @@ from typing import Any
 from numba import config
 from numba import njit as njit
 from numba.core import caching
+from numba.core.runtime import rtsys
 
 PACKAGE = Path(__file__).parent
 _VARIABLE = "NUMBA_CACHE_DIR"
@@ -130,12 +131,17 @@ def _save_or_go_on(cache: caching.Cache, signature: Any, kernel: Any) -> None:
 
 
 def _load_or_compile(cache: caching.Cache, signature: Any, context: Any) -> Any:
-    """Return a kept kernel as numba does; None, and what was kept is forgotten, where its file is damaged."""
-    try:
+    """Return a kept kernel as numba does; None, and what was kept is forgotten, where its file is damaged.
+
+    numba loads its whole compiler before it takes a kept kernel, and scipy.linalg with it. This package's
+    need the runtime alone: what is missing still is loaded when something has to be compiled.
+    """
+    if not isinstance(cache._impl.locator, PackageLocator):
         return _numbas_load(cache, signature, context)
+    try:
+        rtsys.initialize(context)
+        return cache._load_overload(signature, context)
     except Exception:  # pickle raises many kinds; numba does not fsync, so a power cut leaves such files
-        if not isinstance(cache._impl.locator, PackageLocator):
-            raise
         with suppress(OSError):
             os.unlink(cache._cache_file._index_path)
         return None

@@ -102,7 +102,7 @@ def _conflict_filter(points: np.ndarray, mesh: np.ndarray, t: int, p: int) -> tu
     )
 
 
-@njit("boolean(float64[:,::1], int32[:,::1], int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
     """Return whether p destroys cell t: p inside its sphere, or, for an infinite cell, beyond its triangle.
 
@@ -130,8 +130,9 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
             other = mesh[t, 4 + i]
             if other == previous:
                 continue
-            a, b, c = mesh[t, FACE[i, 0]], mesh[t, FACE[i, 1]], mesh[t, FACE[i, 2]]
-            side, bound = orient3d_filter(points, np.int64(a), np.int64(b), np.int64(c), p)
+            a, b = np.int64(mesh[t, FACE[i, 0]]), np.int64(mesh[t, FACE[i, 1]])
+            c = np.int64(mesh[t, FACE[i, 2]])
+            side, bound = orient3d_filter(points, a, b, c, p)
             if abs(side) <= bound:
                 side = orient3d_exact(points, a, b, c, p, ws)
             if side < 0.0:
@@ -144,7 +145,7 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
     return t
 
 
-@njit("int32[:,::1](int32[:,::1], int64)", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _grown(array: np.ndarray, rows: int) -> np.ndarray:
     """Return a copy of (m, k) `array` with `rows` rows, the new ones 0."""
     larger = np.zeros((rows, array.shape[1]), dtype=np.int32)
@@ -225,7 +226,7 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
                 if state != outside:
                     conflict = values[i] > 0.0
                     if abs(values[i]) <= bounds[i]:
-                        conflict = _in_conflict(points, mesh, other, p, ws)
+                        conflict = _in_conflict(points, mesh, np.int64(other), p, ws)
                     if conflict:
                         mark[other, 0] = inside
                         cavity[count, 0] = other

@@ -15,14 +15,12 @@ has length 0.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, types
 
 from paper_artifact.kernel_cache import njit
 
 # Doubles of a workspace; the longest expansion (a Gabriel sign with nothing cancelling) needs half of it.
 WORKSPACE = 1 << 21
 SPLITTER = 134217729.0  # 2^27 + 1: splits a double into two halves (Dekker)
-_STEPS = types.Array(int64, 2, "C", readonly=True)  # numba's type of a global array
 
 
 @njit(cache=True, nogil=True)
@@ -76,7 +74,7 @@ def _append(ws: np.ndarray, place: int, value: float) -> int:
     return place + 1
 
 
-@njit("int64(float64[::1], int64, int64, int64, int64, int64)", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
     """Write the sum of two expansions to ws[h:], zeros left out; return its length (Shewchuk, fast sum)."""
     i = j = 0
@@ -97,7 +95,7 @@ def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
     return _append(ws, place, q) - h
 
 
-@njit("int64(float64[::1], int64, int64, float64, int64)", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _scale(ws: np.ndarray, e: int, ne: int, b: float, h: int) -> int:
     """Write b times an expansion to ws[h:], zeros left out; return its length."""
     if ne == 0 or b == 0.0:
@@ -159,7 +157,7 @@ class Formula:
         return np.array(self.rows, dtype=np.int64)
 
 
-@njit("int64(float64[::1], int64[:,::1], int64, int64, int64)", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
     """Write register i times register j to ws[top:]; return its length."""
     e, ne, f, nf = loc[i, 0], loc[i, 1], loc[j, 0], loc[j, 1]
@@ -167,7 +165,7 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
         e, ne, f, nf = f, nf, e, ne
     room = 2 * ne * nf
     here, other, scaled = top, top + room, top + 2 * room
-    n = 0
+    n = np.int64(0)  # a plain 0 is a type of its own, for which _sum would be compiled again
     for k in range(nf):
         m = _scale(ws, e, ne, ws[f + k], scaled)
         n = _sum(ws, here, n, scaled, m, other)
@@ -178,7 +176,7 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
     return n
 
 
-@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[::1], float64[:, ::1]), cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def exact(
     points: np.ndarray, rows: np.ndarray, steps: np.ndarray, ws: np.ndarray, values: np.ndarray
 ) -> float:
@@ -189,7 +187,7 @@ def exact(
     """
     vectors = len(rows) - 1
     loc = np.empty((3 * vectors + len(steps), 2), dtype=np.int64)
-    top = 0
+    top = np.int64(0)
     for i in range(vectors):
         for k in range(3):
             high, low = two_sum(points[rows[i], k], -points[rows[vectors], k])
@@ -219,7 +217,7 @@ def exact(
     return values[out, 0]
 
 
-@njit(float64(float64[:, ::1], int64[::1], _STEPS, float64[:, ::1]), cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def evaluate(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, values: np.ndarray) -> float:
     """Return a formula of the vectors points[rows[i]] - points[rows[-1]] in double-doubles, rounded.
 

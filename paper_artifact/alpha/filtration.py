@@ -67,7 +67,7 @@ def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np
     return _flat_tetrahedron_value(points, a, b, c, d, uu * vv * ww, ws)
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, float64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _flat_tetrahedron_value(
     points: np.ndarray, a: int, b: int, c: int, d: int, unit: float, ws: np.ndarray
 ) -> float:
@@ -96,7 +96,7 @@ def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -
     return uu * vv / area * ww / 4.0
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, float64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _flat_triangle_area(points: np.ndarray, a: int, b: int, c: int, unit: float, ws: np.ndarray) -> float:
     """Return |u x v|² by double-doubles or, below FLATTER² unit, exactly."""
     values = np.empty((6 + len(TRIANGLE), 2))
@@ -213,7 +213,8 @@ def values(
     m, k, e = len(cells), len(triangles), len(edges)
     cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.full(e, np.inf)
     for t in range(m):
-        cell_values[t] = tetrahedron_value(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], ws)
+        a, b, c = np.int64(cells[t, 0]), np.int64(cells[t, 1]), np.int64(cells[t, 2])
+        cell_values[t] = tetrahedron_value(points, a, b, c, np.int64(cells[t, 3]), ws)
     edge_gabriel = np.ones(e, dtype=np.bool_)
     signs, bounds = np.empty(5), np.empty(5)
     for f in range(k):

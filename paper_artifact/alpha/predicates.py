@@ -127,7 +127,7 @@ def insphere_filter(points: np.ndarray, a: int, b: int, c: int, d: int, e: int) 
     return det, INSPHERE_BOUND * mx * my * mz * max(max(alift, blift), max(clift, dlift))
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def insphere_exact(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
     """Return what insphere does, by double-doubles or, where they leave it open, by expansions."""
     _, bound = insphere_filter(points, a, b, c, d, e)
@@ -160,7 +160,7 @@ def edge_filter(points: np.ndarray, a: int, b: int, c: int) -> tuple[float, floa
     return x + y + z, DOT_BOUND * (abs(x) + abs(y) + abs(z))
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def edge_exact(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
     """Return (a-c)·(b-c) by expansions."""
     return exact(points, np.array([a, b, c]), EDGE, ws, np.empty((6 + len(EDGE), 2)))
@@ -183,7 +183,7 @@ def triangle_filter(points: np.ndarray, b: int, c: int, d: int, a: int) -> tuple
     return value, GABRIEL_BOUND * (vv * ww * np.sqrt(uu * max(uu, max(vv, ww))))
 
 
-@njit("float64(float64[:,::1], int64, int64, int64, int64, float64[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def triangle_exact(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> float:
     """Return a number with the sign of the Gabriel value, by double-doubles or, if open still, expansions."""
     _, bound = triangle_filter(points, b, c, d, a)

@@ -27,7 +27,7 @@ def increasing(values: np.ndarray) -> np.ndarray:
     return sort_keys(values.view(np.uint64))
 
 
-@njit("int32(int32[::1], int32)", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _root(parents: np.ndarray, i: int) -> int:
     while parents[i] != i:
         parents[i] = parents[parents[i]]
@@ -130,7 +130,7 @@ def voids(
     `order`: the open triangles in increasing value; parents: of apparent_voids. Backwards in the filtration
     the triangles join the cells, and the void whose last cell comes earlier ends.
     """
-    outside = len(cell_values)
+    outside = np.int32(len(cell_values))
     sizes = np.ones(outside + 1, dtype=np.int32)
     # Of each component's root: its last cell in the filtration.
     tops = np.arange(outside + 1).astype(np.int32)
