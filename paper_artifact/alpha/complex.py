@@ -24,7 +24,7 @@ Stage = Callable[[str], None]
 Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # squared births, deaths, simplices of both
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Complex:
     """Simplices and their SQUARED radii, in units of 2^(2 exponent). Vertices run along the Hilbert curve."""
 
@@ -71,6 +71,7 @@ def build(points: np.ndarray, begin: Stage) -> Complex:
         cell_values = np.zeros(0)
     else:
         of_cell, triangles, sides = filtration.faces(cells, neighbours)
+        del neighbours
         edge_count = distinct + len(triangles) - len(cells) - 1  # a ball
         of_triangle, edges = filtration.edges_of(triangles, n, edge_count)
         cell_values, values, edge_values = filtration.values(
@@ -121,32 +122,56 @@ def _on_a_line(ordered: np.ndarray, order: np.ndarray, exponent: int, begin: Sta
 def squared_pairs(made: Complex, dimension: int) -> list[Rows]:
     """Return the pairs of dimensions 0 to `dimension` (at most 2) as numbers of vertices.
 
-    Empty bars of dimensions 1 and 2 may be among them. A flat cloud has no pairs above its own dimension.
+    Empty bars of dimensions 1 and 2 may be among them. A flat cloud has no pairs above its own dimension. The
+    complex is used up: a million points need the room of what is done with.
     """
-    edge_order = reduction.increasing(made.edge_values)
-    ended, merging, merges = reduction.components(made.edges, edge_order, len(made.names))
-    rows = [(np.zeros(len(ended)), made.edge_values[merging], ended[:, None], made.edges[merging])]
-    if dimension == 0 or not len(made.triangles):
-        return rows
-    if not len(made.cells):  # in a plane the edges that close a loop and the triangles are dual to H0
-        parents = np.arange(len(made.triangles) + 1, dtype=np.int32)
-        state = np.zeros(len(made.edges), dtype=np.int8)
-        looping, killing = reduction.voids(made.sides, edge_order, made.triangle_values, parents, state)
-        voids: list[Rows] = []
-    else:
-        state, parents = reduction.apparent_voids(
-            made.cell_values, made.triangle_values, made.of_cell, made.sides
-        )
-        apparent = reduction.apparent_loops(made.triangle_values, made.edge_values, made.of_triangle, state)
-        left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
-        left = left[reduction.increasing(made.triangle_values[left])]
-        closing, filling = reduction.voids(made.sides, left, made.cell_values, parents, state)
-        looping, killing = reduction.loops(made.of_triangle, left, state, edge_order, merges, apparent)
-        ends = made.triangle_values[closing], made.cell_values[filling]
-        voids = [(*ends, made.triangles[closing], made.cells[filling])]
+    if not len(made.cells):
+        return _flat_pairs(made)[: dimension + 1]
+    if dimension == 0:
+        return [_components(made)[0]]
+    voids, left, state, apparent = _voids(made)
+    rows, edge_order, merges = _components(made)
+    looping, killing = reduction.loops(made.of_triangle, left, state, edge_order, merges, apparent)
     ends = made.edge_values[looping], made.triangle_values[killing]
-    loops = (*ends, made.edges[looping], made.triangles[killing])
-    return [*rows, loops, *voids][: dimension + 1]
+    return [rows, (*ends, made.edges[looping], made.triangles[killing]), voids][: dimension + 1]
+
+
+def _components(made: Complex) -> tuple[Rows, np.ndarray, np.ndarray]:
+    """Return the pairs of dimension 0, the edges by value (e,) and which of them merge components (e,)."""
+    order = reduction.increasing(made.edge_values)
+    ended, merging, merges = reduction.components(made.edges, order, len(made.names))
+    rows = np.zeros(len(ended)), made.edge_values[merging], ended[:, None], made.edges[merging]
+    return rows, order, merges
+
+
+def _voids(made: Complex) -> tuple[Rows, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pairs of dimension 2, and for `reduction.loops` the open triangles by value, their state and
+    the apparent pairs."""
+    state, parents = reduction.apparent_voids(
+        made.cell_values, made.triangle_values, made.of_cell, made.sides
+    )
+    del made.of_cell
+    apparent = reduction.apparent_loops(made.triangle_values, made.edge_values, made.of_triangle, state)
+    left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
+    left = left[reduction.increasing(made.triangle_values[left])]
+    closing, filling = reduction.voids(made.sides, left, made.cell_values, parents, state)
+    ends = made.triangle_values[closing], made.cell_values[filling]
+    rows = (*ends, made.triangles[closing], made.cells[filling])
+    del made.sides, made.cells, made.cell_values
+    return rows, left, state, apparent
+
+
+def _flat_pairs(made: Complex) -> list[Rows]:
+    """Return the pairs of a cloud in a plane or on a line: the edges that close a loop and the triangles are
+    dual to dimension 0."""
+    rows, order, _ = _components(made)
+    if not len(made.triangles):
+        return [rows]
+    parents = np.arange(len(made.triangles) + 1, dtype=np.int32)
+    state = np.zeros(len(made.edges), dtype=np.int8)
+    looping, killing = reduction.voids(made.sides, order, made.triangle_values, parents, state)
+    ends = made.edge_values[looping], made.triangle_values[killing]
+    return [rows, (*ends, made.edges[looping], made.triangles[killing])]
 
 
 def sorted_rows(rows: Rows, names: np.ndarray) -> Rows:

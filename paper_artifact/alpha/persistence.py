@@ -198,7 +198,9 @@ def fast_persistence(
     rows = alpha_complex.squared_pairs(made, top)
     begin("pairs")
     called = made.names if names is None else names[made.names].astype(np.int32)
-    found = [_pairs(alpha_complex.sorted_rows(each, called), made.exponent, squared) for each in rows]
+    exponent = made.exponent
+    del made  # what is left of its arrays
+    found = [_pairs(alpha_complex.sorted_rows(each, called), exponent, squared) for each in rows]
     found += [_empty(dimension) for dimension in range(len(found), top + 1)]
     begin("")
     return tuple(found)
