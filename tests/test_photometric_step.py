@@ -94,7 +94,7 @@ def check_against_twin(case: Case) -> None:
     assert loss == pytest.approx(expected.item(), rel=1e-5)
     for name, gradient, leaf in zip(NAMES, gradients.flat(), leaves, strict=True):
         assert gradient.dtype == np.float32
-        assert distance(gradient, leaf.grad) < 1e-4, name
+        assert distance(gradient, leaf.grad) < (1e-4 if name == "vertices" else 1e-5), name
 
 
 @settings(max_examples=15, deadline=None, derandomize=True, database=None)

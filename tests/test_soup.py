@@ -12,15 +12,11 @@ from scipy.spatial.distance import cdist
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.soup.initialise import farthest_points, initial_soup
-from paper_artifact.soup.state import MLP_SHAPES, Soup, initial_mlp, load_soup, save_soup
+from paper_artifact.soup.state import MLP_SHAPES, initial_mlp, load_soup, save_soup
 
 
 def cloud(seed: int, count: int) -> np.ndarray:
     return stream(seed, "soup test cloud").normal(size=(count, 3))
-
-
-def tensors(soup: Soup) -> list[torch.Tensor]:
-    return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
 
 
 @settings(max_examples=20, deadline=None)
@@ -57,7 +53,7 @@ def test_initial_triangles_are_equilateral_on_distinct_points_with_a_quarter_of_
     wanted = farthest_points(points, 60, chosen[0])
     assert chosen[:60].tolist() == wanted.tolist()
     assert not soup.features.any() and not soup.opacity.any()
-    assert all(tensor.is_leaf and tensor.requires_grad for tensor in tensors(soup))
+    assert all(tensor.is_leaf and tensor.requires_grad for tensor in soup.tensors())
 
 
 def test_orientations_are_uniform():
@@ -79,7 +75,7 @@ def test_more_triangles_than_points_takes_every_point_once():
 def test_the_start_depends_on_the_seed_alone():
     points = cloud(4, 100)
     first, second, other = (initial_soup(points, 30, seed) for seed in (1, 1, 2))
-    assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(second), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(first.tensors(), second.tensors(), strict=True))
     assert not torch.equal(first.vertices, other.vertices) and not torch.equal(first.mlp[0], other.mlp[0])
 
 
@@ -121,7 +117,7 @@ def test_save_and_load_give_the_same_bits(stored):
     again = load_soup(path)
     assert len(again) == 40
     assert all(
-        torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(tensors(soup), tensors(again), strict=True)
+        torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(soup.tensors(), again.tensors(), strict=True)
     )
     assert [file.name for file in path.parent.iterdir()] == ["soup.npz"]
 

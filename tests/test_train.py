@@ -29,7 +29,7 @@ from paper_artifact.soup.state import render_views
 from paper_artifact.train.backend import CpuBackend, TwinBackend, backend_for
 from paper_artifact.train.loop import batch_views, train
 from paper_artifact.train.state import TrainingError, TrainState, learning_rates
-from tests.tiny_run import STEPS, parts, tiny_arguments, tiny_config
+from tests.tiny_run import STEPS, tiny_arguments, tiny_config
 
 RESAMPLED = [10, 20, 30, 40, 50]
 
@@ -39,7 +39,7 @@ def same_bits(first: TrainState, second: TrainState) -> bool:
         first.losses == second.losses
         and first.dumps == second.dumps
         and first.resamplings == second.resamplings
-        and all(torch.equal(a, b) for a, b in zip(parts(first.soup), parts(second.soup), strict=True))
+        and all(torch.equal(a, b) for a, b in zip(first.soup.tensors(), second.soup.tensors(), strict=True))
     )
 
 
@@ -308,7 +308,7 @@ def test_the_last_checkpoint_before_a_value_that_is_not_finite_resumes(
             train(tiny_scene, tiny_config(), checkpoint=checkpoint, device="cpu")
     resumed = train(tiny_scene, tiny_config(), evaluate=dump, checkpoint=checkpoint, device="cpu")
     assert resumed.resumed_at == 20 and resumed.losses == trained.losses
-    assert all(torch.equal(a, b) for a, b in zip(parts(resumed.soup), parts(trained.soup), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(resumed.soup.tensors(), trained.soup.tensors(), strict=True))
 
 
 def test_a_run_that_breaks_is_one_line_for_the_command_line(tiny_results, tmp_path, capsys, monkeypatch):
@@ -347,8 +347,8 @@ def test_the_twin_backend_gives_the_cpu_backends_step(trained, tiny_scene):
         for tensor in soup.mlp:
             tensor.grad = None
         loss = backend.photometric_step(soup, views, keys)
-        results.append((loss, [tensor.grad.double().flatten() for tensor in parts(soup)]))
-        assert all(tensor.dtype == torch.float32 for tensor in parts(backend.to_host(soup)))
+        results.append((loss, [tensor.grad.double().flatten() for tensor in soup.tensors()]))
+        assert all(tensor.dtype == torch.float32 for tensor in backend.to_host(soup).tensors())
     (loss, gradients), (twin_loss, twin_gradients) = results
     assert abs(loss - twin_loss) < 1e-4
     for mine, theirs in zip(gradients, twin_gradients, strict=True):

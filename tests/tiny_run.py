@@ -5,11 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
-
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import RunConfig
-from paper_artifact.soup.state import Soup
 
 STEPS = 60
 TINY = {
@@ -39,8 +36,3 @@ def tiny_arguments() -> list[str]:
     """Return the command-line arguments of `tiny_config()` for the verb train."""
     changes = [f"--set={name}={value}".replace(" ", "") for name, value in TINY.items() if name != "steps"]
     return ["train", "sphere", "--quiet", "--device=cpu", f"--steps={STEPS}", *changes]
-
-
-def parts(soup: Soup) -> list[torch.Tensor]:
-    """Return all tensors of a soup."""
-    return [soup.vertices, soup.features, soup.opacity, *soup.mlp]
