@@ -12,7 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from paper_artifact.config import STEPS_OF_THE_STUDY, AllocationConfig, LossConfig, RunConfig, with_changes
+from paper_artifact.config import (
+    DUMP_STEPS,
+    STEPS_OF_THE_STUDY,
+    AllocationConfig,
+    LossConfig,
+    RunConfig,
+    with_changes,
+)
 from paper_artifact.errors import InputError
 
 Axis = tuple[float, float, float]
@@ -200,10 +207,10 @@ def study_config(
         settings["budget"] = row.budget
     config = RunConfig(shape)
     steps = changes.get("steps", STEPS_OF_THE_STUDY)
-    if steps != STEPS_OF_THE_STUDY and isinstance(steps, int) and steps > 0:
-        scaled = {max(1, round(step * steps / STEPS_OF_THE_STUDY)) for step in config.dump_steps}
+    if steps != STEPS_OF_THE_STUDY:
+        config = with_changes(config, {"dump_steps": (), "steps": steps})  # then none is beyond the end
+        scaled = {max(1, round(step * steps / STEPS_OF_THE_STUDY)) for step in DUMP_STEPS}
         changes = {"dump_steps": tuple(sorted(scaled))} | changes
-        config = replace(config, dump_steps=())  # none is beyond the end while the fields are set one by one
     config = with_changes(config, settings | changes)
     parts = {}
     for name, asked in (("loss", loss or {}), ("allocation", allocation or {})):

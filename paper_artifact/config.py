@@ -22,6 +22,7 @@ DEFAULTS_VERSION = 1
 # versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
+DEVICES = ("cpu", "cuda", "auto")  # of training
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 STEPS_OF_THE_STUDY = 2500
 LEAST_SIDE = 22  # pixels of an image: the SSIM window is 11, resampling works at half size
@@ -174,11 +175,11 @@ class RunConfig:
 
     shape: str = field(metadata={"help": "a name of the study, a mesh file or a scene's folder"})
     condition: str = _setting("C0", "a tag of `paper_artifact.catalogue`; `loss` holds what it means")
-    seed: int = _setting(0, "of everything random", 0)
-    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1)
+    seed: int = _setting(0, "of everything random", 0, high=2**63 - 1)
+    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1, high=10**9)
     budget: int = _setting(1200, "triangles kept by pruning (N)", 1)
-    views: int = _setting(48, "rendered around the mesh, every 8th held out", 2)
-    size: int = _setting(200, "side of a view", LEAST_SIDE, unit="pixels")
+    views: int = _setting(48, "rendered around the mesh, every 8th held out", 2, high=10_000)
+    size: int = _setting(200, "side of a view", LEAST_SIDE, high=8192, unit="pixels")
     background: str = _setting(
         "white", "of the views; a texture is infinitely far away", choices=("white", "black", "texture")
     )

@@ -1,10 +1,14 @@
-"""`InputError`, and the refusal of what would take more memory than is available."""
+"""`InputError`, the refusal of what takes more memory than is available, and words quoted for a shell."""
 
 from __future__ import annotations
 
 import math
 import os
+import shlex
 from pathlib import Path
+
+# Control characters but tab and line feed, as terminals show them and as bash reads them in $'…'.
+CONTROL = {code: f"\\u{code:04x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 
 
 class InputError(ValueError):
@@ -46,3 +50,11 @@ def require_memory(size: float, what: str, advice: str) -> None:
             f"{what} takes at least {size / 2**30:.3g} GiB of memory, {available / 2**30:.3g} GiB are "
             f"available; {advice}"
         )
+
+
+def quoted(word: object) -> str:
+    """Return a word as bash and zsh read it; one with control characters as $'…', with these escaped."""
+    text = str(word)
+    if not any(ord(each) in CONTROL for each in text):
+        return shlex.quote(text)
+    return "$'" + text.replace("\\", "\\\\").replace("'", "\\'").translate(CONTROL) + "'"

@@ -29,7 +29,9 @@ from urllib.parse import unquote
 from paper_artifact.errors import InputError
 
 RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
-DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})  # EFBIG: the process's own limit
+SPACE = "free some space and run the same command again"
+LIMIT = "raise the file size limit (ulimit -f), or use another file system, and run the same command again"
+DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT}  # what is to be done
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
@@ -60,10 +62,8 @@ OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from 
 
 def write_failure(path: Path | str, error: OSError) -> InputError:
     """Return the InputError for what could not be written (a path, or words for it) because of `error`."""
-    why = error.strerror or str(error)
-    if error.errno in DISK_FULL:
-        return InputError(f"cannot write {path}: {why}; free some space and run the same command again")
-    return InputError(f"cannot write {path}: {why}; choose a folder that you can write to")
+    advice = DISK_FULL.get(error.errno or 0, "choose a folder that you can write to")
+    return InputError(f"cannot write {path}: {error.strerror or error}; {advice}")
 
 
 @contextmanager
@@ -147,7 +147,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             yield temporary
         except OSError as error:
             # Only of the disk, or of the name: the caller may be reading from a network or another file too.
-            if error.errno in DISK_FULL | DISK_BROKEN or error.filename in (temporary, str(temporary)):
+            if error.errno in {*DISK_FULL, *DISK_BROKEN} or error.filename in (temporary, str(temporary)):
                 raise write_failure(path, error) from error
             raise
         with _writing(path):

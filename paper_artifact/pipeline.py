@@ -248,7 +248,8 @@ def run(
     config, results = subject.given.config, results or subject.results
     if not again and (recorded := recorded_path(config, results / "runs")) is not None:
         return _uncontradicted(read_record(recorded), strict)
-    require_memory_for(config.samples)
+    others = (config.loss or config).samples, (config.allocation or config).samples
+    require_memory_for(max(config.samples, *others))
     bundle = _target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = record_path(config, results / "runs")
     check_writable(path)

@@ -82,8 +82,11 @@ def test_a_mesh_cut_in_half_and_a_folder(refused, tmp_path):
 TRAIN = [
     ("sphere_", "unknown shape 'sphere_'"),
     ("sphere --condition C99", "C99"),
-    ("sphere --device tpu", "unknown device 'tpu'"),
-    ("sphere --steps -5", "steps must be at least 1, got -5"),
+    ("sphere --steps -5", "steps must be at least 1 and at most 1e+09, got -5"),
+    ("sphere --steps 99999999999999999", "steps must be at least 1 and at most 1e+09"),
+    ("sphere --steps 1" + "0" * 400, "steps must be at least 1 and at most 1e+09"),
+    ("sphere --set=views=10001", "views must be at least 2 and at most 10000"),
+    ("sphere --set=size=8193", "size must be at least 22 and at most 8192 pixels"),
     ("sphere --threads=0", "--threads must be at least 1"),
     ("sphere --set=budget=many", "budget takes a value of kind int, got 'many'"),
     ("sphere --set=budget=" + "1+" * 20_000 + "1", "'1+1+1+"),
@@ -122,7 +125,7 @@ def test_values_that_make_no_sense(command, words, refused, tmp_path, monkeypatc
         monkeypatch.setattr("paper_artifact.scene.given.find_mesh", None)
         monkeypatch.setattr("paper_artifact.pipeline.prepare_scene", None)
     results = ["--results", "results"] if command.startswith(("train", "sweep")) else []
-    looked_at = ("unknown shape", "unknown device", "no soup at", "no file at", "not a readable")
+    looked_at = ("unknown shape", "no soup at", "no file at", "not a readable")
     code = 1 if words.startswith(looked_at) else 2
     refused([*shlex.split(command), *results, "--quiet"], words, code=code)
 

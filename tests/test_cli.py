@@ -139,7 +139,11 @@ def test_wrong_usage_is_exit_code_2(arguments, words, verb, capsys):
         (KeyboardInterrupt(), "interrupted"),
         (MemoryError(), "needs more memory than there is"),
         (OSError(36, "File name too long", "y" * 300), "is too long for a file system"),
-        (OSError(28, "No space left on device", "a.ply"), "cannot write a.ply"),
+        (
+            OSError(28, "No space left on device", "a.ply"),
+            "cannot write a.ply: No space left on device; free",
+        ),
+        (OSError(27, "File too large", "a.ply"), "File too large; raise the file size limit (ulimit -f)"),
         (ModuleNotFoundError("No module named 'torch'", name="torch"), "needs the Python package 'torch'"),
     ],
 )

@@ -30,7 +30,7 @@ from paper_artifact.record.store import config_hash
         ({"budget": 0}, "budget must be"),
         ({"budget": True}, "budget takes a value of kind int"),
         ({"seed": -1}, "seed must be at least 0"),
-        ({"size": 21}, "at least 22 pixels"),
+        ({"size": 21}, "at least 22 and at most 8192 pixels"),
         ({"vertex_lr": 0.0}, "vertex_lr must be positive and at most 1, got 0.0"),
         ({"opacity_lr": 1e38}, r"opacity_lr must be positive and at most 100, got 1e\+38"),
         ({"split_height": 1e-9}, "split_height must be at least 0.0001, got 1e-09"),

@@ -45,6 +45,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def soup(folder):
+    """A soup file of one triangle in the current folder."""
+    save_soup(
+        "ball.npz", Soup(torch.eye(3)[None], torch.zeros(1, 3, 7), torch.full((1, 3), 6.0), initial_mlp(0))
+    )
+    return folder
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(each): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
 
@@ -89,14 +98,76 @@ def test_an_output_that_cannot_be_written_is_said_before_any_work(command, words
     assert words in captured.err and captured.out == ""
 
 
-def test_export_keeps_a_target_that_has_the_name_of_its_output(folder, capsys):
-    save_soup(
-        "ball.npz", Soup(torch.eye(3)[None], torch.zeros(1, 3, 7), torch.full((1, 3), 6.0), initial_mlp(0))
-    )
-    before = contents(folder)
+def test_export_keeps_a_target_that_has_the_name_of_its_output(soup, capsys):
+    before = contents(soup)
     assert cli.main(["export", "ball.npz", "--out", ".", "--target", "ball.ply"]) == 2
     assert "--target ball.ply would be lost" in capsys.readouterr().err
-    assert contents(folder) == before
+    assert contents(soup) == before
+
+
+@pytest.mark.parametrize(
+    "command, words",
+    [
+        ("train sphere --condition C1 --loss samples=200000000", "the diagram of 200000000 samples"),
+        ("train sphere --condition B2 --set samples=200000000", "the diagram of 200000000 samples"),
+        ("evaluate ball.ply --target sphere --samples 200000000", "the diagram of 200000000 samples"),
+        ("audit ball.ply --densities 64 200000000", "the diagram of 200000000 samples"),
+        ("export ball.npz --views 100000 --size 4096 --formats png", "100000 views of 4096×4096 pixels"),
+    ],
+)
+def test_what_takes_more_memory_than_there_is_is_refused_with_the_amount(command, words, soup, capsys):
+    out = "--json x.json" if "evaluate" in command else "--results r" if "train" in command else "--out o"
+    before = contents(soup)
+    assert cli.main(shlex.split(f"{command} {out}")) == 1
+    error = capsys.readouterr().err
+    assert re.search(f"{words} takes at least [^ ]+ GiB of memory, .* GiB are available; ", error)
+    assert contents(soup) == before
+
+
+# Of each verb: what its arguments alone make wrong, and what only a look at its input shows.
+WRONG = {
+    "fetch": ("nope", "spot --mirror nowhere"),
+    "photos": ("in --out s --size 9", "nowhere --out s"),
+    "reconstruct": ("in --out a.txt", "nowhere"),
+    "scene": ("--out s", "--mesh none.ply --out s"),
+    "train": ("sphere --device tpu", "none.ply --results r"),
+    "evaluate": ("ball.npz", "none.npz --target sphere"),
+    "export": ("ball.npz --formats gif", "none.npz --out o"),
+    "run-all": ("--profile all", "--notebooks nowhere --out o --figures f"),
+    "book": ("--refresh=x", "--out notebooks"),
+    "certify": ("ball.ply --json - --where a.txt", "none.ply"),
+    "audit": ("ball.ply --densities 3", "none.ply --out o"),
+    "ingest": ("ball.ply --out a.txt", "none.ply --out a.ply"),
+    "solidify": ("ball.ply --out a.txt", "none.ply --out a.ply"),
+    "sweep": ("baseline --device tpu", "--scene nowhere --results r"),
+}
+
+
+@pytest.mark.parametrize("verb", cli.VERBS)
+@pytest.mark.parametrize("code", [2, 1])
+def test_wrong_usage_is_exit_code_2_and_a_failure_is_1_in_every_verb(verb, code, soup, capsys):
+    try:
+        found = cli.main([verb, *shlex.split(WRONG[verb][2 - code])])
+    except SystemExit as refused:
+        found = refused.code
+    error = capsys.readouterr().err
+    assert (
+        found == code and "Traceback" not in error and error.count("paper_artifact") and "Error" not in error
+    )
+
+
+def test_escape_sequences_in_names_are_shown_and_commands_keep_them(folder, capsys):
+    name = "\x1b[31m\r\x9b'\\.ply"
+    os.rename("ball.ply", name)
+    assert cli.main(["certify", name]) == 0
+    shown = capsys.readouterr().out
+    assert not re.search("[\x1b\r\x9b]", shown) and "\\u001b[31m\\u000d" in shown
+    (command,) = re.findall("audit (.*)", shown)
+    echoed = ["bash", "-c", f"printf %s {command}"]
+    assert (
+        subprocess.run(echoed, capture_output=True, env=os.environ | {"LC_ALL": "C.UTF-8"}).stdout
+        == name.encode()
+    )
 
 
 def test_a_name_that_is_no_text_is_a_page_and_a_command(folder):

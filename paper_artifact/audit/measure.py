@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
@@ -13,8 +12,8 @@ from paper_artifact.audit.rule import DENSITIES, WORKING, Decision, Rung, decide
 from paper_artifact.catalogue import shape_row
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.config import LossConfig, RunConfig
-from paper_artifact.errors import InputError
-from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars, measure
+from paper_artifact.errors import InputError, quoted
+from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars, measure, require_memory_for
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -46,11 +45,11 @@ class Audit:
         Training of C0, C1 and C2 with this bundle, of C0 alone when nothing is measurable. Before them, where
         the certificate fails, the making of a closed surface and its audit.
         """
-        python, name = "python -m paper_artifact", shlex.quote(self.name)
+        python, name = "python -m paper_artifact", quoted(self.name)
         begin: tuple[str, ...] = ()
         usual = LossConfig()
         if not self.certificate.passed:
-            shell = shlex.quote(f"{self.mesh.name}_shell.ply")
+            shell = quoted(f"{self.mesh.name}_shell.ply")
             begin = (f"{python} ingest {name} --out {shell}", f"{python} audit {shell}")
         if self.decision.dimension is None or self.bundle is None:
             return (*begin, f"{python} train {name}")
@@ -103,6 +102,7 @@ def audit_mesh(
             f"an audit needs densities of at least {FEWEST} points, one seed or more and none negative, "
             f"got {smallest}, {seeds} and {first_seed}"
         )
+    require_memory_for(max(*densities, *working))
     certificate = certify_mesh(mesh, with_boundary=None, progress=progress)
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name, mesh.betti)
     rungs, diagrams = [], {}

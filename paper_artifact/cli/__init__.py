@@ -143,7 +143,7 @@ def _sentence(error: BaseException, asked: str | None) -> str | None:
             "checkout run `bash test.sh` and use .venv/bin/python, else `pip install '.[study]'` there"
         )
     assert isinstance(error, OSError)
-    if error.errno in DISK_FULL | DISK_BROKEN:
+    if error.errno in {*DISK_FULL, *DISK_BROKEN}:
         return str(write_failure(error.filename or "the output", error))
     if error.errno == errno.ENAMETOOLONG:
         return f"the name {str(error.filename)[:60]}… is too long for a file system; give a shorter one"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import codecs
 import os
-import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
+
+from paper_artifact.errors import CONTROL, quoted
 
 # What a terminal that does not know the sign gets in its place.
 PLAIN = {
@@ -18,14 +19,24 @@ PLAIN = {
 
 def prepare_streams() -> None:
     """Make stdout and stderr take every text: a closed one takes it to nowhere, one of another encoding
-    than UTF-8 gets plain letters for the signs that it lacks."""
+    than UTF-8 gets plain letters for the signs that it lacks. Control characters, as the escape sequences
+    that a file's name may hold, are shown as \\u001b, all but tab, line feed and a bar's carriage return."""
     codecs.register_error("plain", _plain)
     for name in ("stdout", "stderr"):
         stream: Any = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, open to the end
-        elif hasattr(stream, "reconfigure"):
+        elif hasattr(stream, "reconfigure") and "write" not in vars(stream):
             stream.reconfigure(errors="plain")
+            stream.write = _shown_plainly(stream.write)
+
+
+def _shown_plainly(write: Callable[[str], int]) -> Callable[[str], int]:
+    def shown(text: str) -> int:
+        bar = text.startswith("\r")
+        return write("\r" * bar + text[bar:].translate(CONTROL))
+
+    return shown
 
 
 def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
@@ -58,4 +69,4 @@ def to_string(heads: Sequence[str], rows: Sequence[Sequence[object]], indent: st
 
 def next_command(*words: object) -> str:
     """Return the line `next: python -m paper_artifact …`, its words quoted for the shell."""
-    return f"next: python -m paper_artifact {shlex.join(map(str, words))}"
+    return f"next: python -m paper_artifact {' '.join(map(quoted, words))}"

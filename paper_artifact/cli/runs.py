@@ -14,7 +14,7 @@ from paper_artifact.cli.bars import bar, step_bar
 from paper_artifact.cli.options import Positional, Source, WrongUsage, usage_checked
 from paper_artifact.cli.output import next_command
 from paper_artifact.cli.reading import OwnSceneOptions
-from paper_artifact.config import STEPS_OF_THE_STUDY, LossConfig, RunConfig, parse_changes
+from paper_artifact.config import DEVICES, STEPS_OF_THE_STUDY, LossConfig, RunConfig, parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
 from paper_artifact.mesh import FEATURES, betti_text
@@ -48,7 +48,7 @@ class Train(OwnSceneOptions):
         of a warning
     results: folder for record, soup, scene and checkpoint (default: results/; for one's own mesh or scene
         results/own/, which git ignores)
-    device: cpu, cuda or auto
+    device: one of {DEVICES}
     threads: CPU threads; the result does not depend on it
     again: run even if there is a record of this configuration
     verify: train again elsewhere and compare with the record: the same bits, or the first value that differs
@@ -63,7 +63,7 @@ class Train(OwnSceneOptions):
     betti: str | None = None
     strict: bool = False
     results: Path | None = None
-    device: str = "auto"
+    device: Annotated[str, DEVICES] = "auto"
     threads: Annotated[int, 1] = 1
     again: bool = False
     verify: bool = False
@@ -274,7 +274,7 @@ class Sweep(OwnSceneOptions):
     seed: only this seed (may be given several times)
     workers: runs at the same time, one process and one thread each
     results DIR: folder with runs/ (default: results/, results/own/ for --scene)
-    device: cpu, cuda or auto
+    device: one of {DEVICES}
     executor: where they run
     scheduler ADDRESS: of the Dask scheduler (tcp://host:8786), with --executor dask
     steps: of each run, with --scene
@@ -290,7 +290,7 @@ class Sweep(OwnSceneOptions):
     seed: list[int] = field(default_factory=list)
     workers: Annotated[int, 1] = 1
     results: Path | None = None
-    device: str = "cpu"
+    device: Annotated[str, DEVICES] = "cpu"
     executor: Annotated[str, ("process", "dask")] = "process"
     scheduler: str | None = None
     steps: int | None = None

@@ -62,11 +62,13 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
     settings = options.reading_of_run(file)
     if not file.is_file():
         raise InputError(f"no file at {options.surface}: give a trained soup (.npz) or a mesh")
+    from paper_artifact.evaluate.diagram import require_memory_for
     from paper_artifact.mesh import load_mesh
     from paper_artifact.randomness import stream
     from paper_artifact.sampling import sample_surface
     from paper_artifact.scene.shapes import find_mesh
 
+    require_memory_for(options.samples)
     truth = None if options.target is None else find_mesh(options.target)
     draws = stream(options.seed, "evaluation samples")
     asked = {"surface": options.surface, "samples": options.samples, "seed": options.seed}

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
 from paper_artifact.export.models import THRESHOLD
 from paper_artifact.files import write_bytes
 from paper_artifact.frame import SAME, Frame
@@ -34,6 +34,7 @@ LIGHT = (-0.45, -0.65, -1.0)
 FIELD_OF_VIEW = 30.0  # degrees
 MARGIN = 1.04  # of the image around the framed points
 SUPERSAMPLING = 2
+BYTES_PER_PIXEL = 50  # of a view and its place in the sheet: RGB as float32 four times, and as bytes
 
 
 def _framed_camera(points: np.ndarray, direction: np.ndarray, size: int) -> Camera:
@@ -122,6 +123,9 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
 
     The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees.
     """
+    require_memory(
+        count * BYTES_PER_PIXEL * size**2, f"{count} views of {size}×{size} pixels", "ask for less"
+    )
     corners = soup.vertices.detach().numpy().astype(np.float64)
     visible = soup.corner_opacity().mean(axis=1) >= THRESHOLD
     corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)

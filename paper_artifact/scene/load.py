@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from paper_artifact import arithmetic
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
 from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
@@ -119,6 +119,9 @@ def load_scene(
     else:
         colour = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
     first = composited(pixels(0), colour, downscale)
+    require_memory(
+        len(names) * first.nbytes, f"the {len(names)} images of {path}", "make them smaller (--downscale)"
+    )
     images = np.empty((len(names), *first.shape), np.uint8)
     images[0] = first
     sizes = Counter([first.shape[:0:-1]])

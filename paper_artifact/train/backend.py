@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from paper_artifact.config import DEVICES
 from paper_artifact.errors import InputError
 from paper_artifact.raster.photometric import make_target
 from paper_artifact.raster.view import PhotometricStep, make_camera
@@ -94,8 +95,8 @@ Backend = CpuBackend | TwinBackend
 
 def check_device(device: str) -> None:
     """Raise InputError unless `device` is "cpu", "auto", or "cuda" where there is one."""
-    if device not in ("cpu", "cuda", "auto"):
-        raise InputError(f"unknown device {device!r}; choose cpu, cuda or auto")
+    if device not in DEVICES:
+        raise InputError(f"unknown device {device!r}; choose one of {', '.join(DEVICES)}")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("no CUDA device here; use --device cpu (or auto)")
 
