@@ -173,7 +173,7 @@ def _multiply(ws: np.ndarray, loc: np.ndarray, i: int, j: int, top: int) -> int:
     if here != top:
         for k in range(n):
             ws[top + k] = ws[here + k]
-    return n
+    return int(n)
 
 
 @njit(cache=True, nogil=True)
