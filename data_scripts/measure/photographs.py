@@ -45,7 +45,8 @@ MUG = load_mesh(FOLDER / "mug.ply")  # centimetres
 SIZE = 400  # longest side of the scene's images, pixels
 # Settings of the condition's loss. Samples of the mug show its handle as a loop from M = 8192 on, the second
 # loop and the void of the thin wall at no density up to 20,000.
-ARMS: dict[str, dict[str, Any]] = {"C0": {}, "T1": {"betti": (1, 1, 0), "samples": 8192}}
+WORDS: dict[str, Any] = {"betti": (1, 1, 0), "samples": 8192}
+ARMS: dict[str, dict[str, Any]] = {"C0": {}, "T1": WORDS, "T3": WORDS}
 SETTINGS: dict[str, Any] = {"budget": 3000, "batch": 1, "steps": 2500, "dump_steps": (2500,)}
 SEEDS = (0, 1, 2)
 HOLDOUT = "8"  # every 8th photograph
