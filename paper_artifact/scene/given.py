@@ -83,7 +83,7 @@ def _scene(config: RunConfig) -> Given:
         if config.allocation is not None or (loss is not None and loss.kind in NEEDS_TARGET):
             raise InputError(
                 f"condition {config.condition} acts towards a target, which photographs do not bring: give "
-                "--target MESH|bundle.json, or train with C0, or T1 with --betti"
+                "--target MESH|bundle.json, or train with C0, or T3 with --betti"
             )
         target, mesh, bundle = None, None, None
     elif Path(given.target).suffix == ".json":
