@@ -72,5 +72,5 @@ if __name__ == "__main__":
         r"- ((?:numpy|scipy|numba|llvmlite)==\S+)", (ROOT / "environment.yml").read_text(encoding="utf-8")
     )
     subprocess.run([python, "-m", "pip", "--quiet", "install", wheel, *pins], check=True)
-    subprocess.run([python, "-c", PROGRAM], check=True, cwd=folder)
+    subprocess.run([python, "-I", "-c", PROGRAM], check=True, cwd=folder)  # -I: without PYTHONPATH
     print(wheel)

@@ -203,8 +203,6 @@ def propose(soup: str | None, scene: Path | None) -> int:
     from paper_artifact.topology.statement import DENSITIES as SAMPLES
     from paper_artifact.topology.statement import ENOUGH, cleaned, suggest
 
-    if soup is None and scene is None:
-        raise WrongUsage("give a mesh, a trained soup (.npz), or --scene DIR")
     if soup is not None:
         trained = load_soup(soup)
         corners, opacity = load_frame(Path(soup)).outward(trained.vertices.numpy()), trained.corner_opacity()
@@ -212,6 +210,8 @@ def propose(soup: str | None, scene: Path | None) -> int:
             of_it = subject_of_scene(scene).holds(corners.mean(1))
             corners, opacity = corners[of_it], opacity[of_it]
         found = suggest(lambda count: sample_soup(corners, opacity, count, stream(0, "propose", count))[0])
+    elif scene is None:
+        raise WrongUsage("give a mesh, a trained soup (.npz), or --scene DIR")
     else:
         given = load_scene(scene)
         points = given.points if given.rendered else given.points[subject_of_scene(scene).holds(given.points)]
