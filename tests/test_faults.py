@@ -156,6 +156,14 @@ def test_wrong_usage_is_exit_code_2_and_a_failure_is_1_in_every_verb(verb, code,
     )
 
 
+def test_export_of_a_soup_beyond_reason_is_one_sentence(folder, capsys):
+    far = Soup(torch.eye(3)[None] * 1e37, torch.zeros(1, 3, 7), torch.full((1, 3), 6.0), initial_mlp(0))
+    save_soup("far.npz", far)
+    before = contents(folder)
+    assert cli.main(["export", "far.npz", "--out", "o"]) == 1
+    assert "too large or not finite" in capsys.readouterr().err and contents(folder) == before
+
+
 def test_escape_sequences_in_names_are_shown_and_commands_keep_them(folder, capsys):
     name = "\x1b[31m\r\x9b'\\.ply"
     os.rename("ball.ply", name)

@@ -50,7 +50,7 @@ def soup_triangles(soup: Soup) -> Triangles:
 
     A corner's colour is the trained shading (base and MLP blended, DiffSoup) averaged over 14 directions to
     the camera, weighted with |cos| to the triangle's normal, so that the directions a triangle is seen from
-    count most, from either side.
+    count most, from either side. Raises InputError where numbers of the soup are not finite or too large.
     """
     with torch.no_grad():
         vertices, features = soup.vertices.detach().cpu(), torch.sigmoid(soup.features.detach().cpu())
@@ -69,6 +69,10 @@ def soup_triangles(soup: Soup) -> Triangles:
             shaded += weight[:, None, None] * torch.sigmoid(torch.relu(hidden @ w2.T + c2) @ w3.T + c3)
         blend = features[:, :, 3:4]
         colours = (1 - blend) * features[:, :, :3] + blend * shaded
+    if not torch.isfinite(colours).all():
+        raise InputError(
+            "the soup's triangles are too large or not finite, so they have no colours; train it again"
+        )
     return Triangles(vertices.numpy(), colours.clamp(0, 1).numpy(), soup.corner_opacity())
 
 
