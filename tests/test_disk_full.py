@@ -90,7 +90,7 @@ def test_every_writer_tells_a_full_disk_in_one_sentence_and_leaves_nothing(write
     shutil.rmtree(tmp_path / "before")
     for size in (0, 100):
         with files_of_at_most(size):
-            refused(r"^cannot write .*: File too large; free some space and run the same command again$")
+            refused(r"^cannot write .*: File too large; raise the file size limit .ulimit -f., or use another file system, and run")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     for name in ("fsync", "replace"):
 
@@ -107,7 +107,7 @@ def test_every_writer_tells_a_full_disk_in_one_sentence_and_leaves_nothing(write
 def test_a_file_that_is_there_survives_a_failed_write_and_other_errors_pass_unchanged(tmp_path):
     path = tmp_path / "a.json"
     files.write_json(path, {"old": 1})
-    with files_of_at_most(3), pytest.raises(InputError, match="free some space"):
+    with files_of_at_most(3), pytest.raises(InputError, match="raise the file size limit"):
         files.write_json(path, {"new": list(range(99))})
     assert files.load_json(path) == {"old": 1} and list(tmp_path.iterdir()) == [path]
     with pytest.raises(ConnectionResetError), files.atomic_path(path):
@@ -138,12 +138,12 @@ def test_a_run_whose_disk_was_full_goes_on_to_the_same_record(tiny_results, tmp_
 
     with (
         files_of_at_most(resource.RLIM_INFINITY),
-        pytest.raises(InputError, match="checkpoints/.*free some space"),
+        pytest.raises(InputError, match="checkpoints/.*raise the file size limit"),
     ):
         run(tiny_config(), results=stopped, device="cpu", progress=limit)
     assert len(list((stopped / "checkpoints").iterdir())) == 1
     assert cli.main([*tiny_arguments(), "--results", str(stopped)]) == 0
-    assert len(told) == 2 and all("free some space and run the same command again" in line for line in told)
+    assert len(told) == 2 and all("raise the file size limit" in line for line in told)
     (one,), (two,) = (find_records(folder / "runs") for folder in (whole, stopped))
     assert (one["resumed_at"], two["resumed_at"]) == (None, 20)
     assert (one["dumps"], one["tails"], one["losses"]) == (two["dumps"], two["tails"], two["losses"])

@@ -126,7 +126,7 @@ def test_what_takes_more_memory_than_there_is_is_refused_with_the_amount(command
 
 # Of each verb: what its arguments alone make wrong, and what only a look at its input shows.
 WRONG = {
-    "fetch": ("nope", "spot --mirror nowhere"),
+    "fetch": ("nope", "spot --mirror nowhere --out none"),
     "photos": ("in --out s --size 9", "nowhere --out s"),
     "reconstruct": ("in --out a.txt", "nowhere"),
     "scene": ("--out s", "--mesh none.ply --out s"),
