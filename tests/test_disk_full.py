@@ -90,7 +90,7 @@ def test_every_writer_tells_a_full_disk_in_one_sentence_and_leaves_nothing(write
     shutil.rmtree(tmp_path / "before")
     for size in (0, 100):
         with files_of_at_most(size):
-            refused(r"^cannot write .*: File too large; raise the file size limit .ulimit -f., or use another")
+            refused(r"^cannot write .*: File too large; raise the file size limit \(ulimit -f\), or use")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     for name in ("fsync", "replace"):
 
