@@ -1,9 +1,9 @@
 """What a malicious or an unlucky user found: each fault once, with the words or the file that it is about.
 
-`pytest -m faults` runs these and the other tests of the kind. By hand, since they are slow or need a machine's
-help: `book` while `run-all` runs; `photos` ended by SIGKILL and by SIGINT while it maps, and started again; an
-ordinary user in a read-only checkout; a clock that jumps back; a locale with a decimal comma; a full pipe that
-nobody reads (the command waits, and ends with its reader).
+`pytest -m faults` runs these and the other tests of the kind. By hand, being slow or in need of a machine's
+help: `book` while `run-all` runs; `photos` ended by SIGKILL and by SIGINT while it maps, and started again;
+an ordinary user in a read-only checkout; a clock that jumps back; a locale with a decimal comma; a full pipe
+that nobody reads (the command waits, and ends with its reader).
 """
 
 from __future__ import annotations
