@@ -196,7 +196,11 @@ def _zipped(path: Path, welded: bool) -> Mesh:
             return load_mesh(Path(folder) / names[0], welded)
     except InputError as error:
         raise InputError(str(error).replace(f"{folder}/", f"{path}: ")) from error
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except (RuntimeError, NotImplementedError) as error:  # zipfile's for a password, and for a compression
+        raise InputError(
+            f"{path} cannot be unpacked here ({error}); unpack it and name the mesh in it"
+        ) from error
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is damaged or no zip archive ({error}); copy it again") from error
 
 

@@ -112,6 +112,18 @@ def test_pictures_of_a_kind_that_starts_other_programs_are_not_opened(scene):
         load_scene(folder)
 
 
+def test_an_archive_with_a_password_is_not_called_damaged(tmp_path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.ply", "ply")
+    data = bytearray(path.read_bytes())
+    for head, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(head) + flags] |= 1
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"cannot be unpacked here .*password.*; unpack it and name"):
+        load_mesh(path)
+
+
 def test_archives_that_unpack_without_end_are_refused(tmp_path):
     bomb = tmp_path / "bomb.npz"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:

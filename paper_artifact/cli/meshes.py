@@ -200,8 +200,7 @@ def propose(soup: str | None, scene: Path | None) -> int:
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.subject import subject_of_scene
     from paper_artifact.soup.state import load_frame, load_soup
-    from paper_artifact.topology.statement import DENSITIES as SAMPLES
-    from paper_artifact.topology.statement import ENOUGH, cleaned, suggest
+    from paper_artifact.topology.statement import cleaned, densities_of, drawn, suggest
 
     if soup is not None:
         trained = load_soup(soup)
@@ -216,10 +215,7 @@ def propose(soup: str | None, scene: Path | None) -> int:
         given = load_scene(scene)
         points = given.points if given.rendered else given.points[subject_of_scene(scene).holds(given.points)]
         cloud = cleaned(points)
-        able = [count for count in SAMPLES if len(cloud) >= ENOUGH * count]
-        found = suggest(
-            lambda count: cloud[stream(0, "density", count).permutation(len(cloud))[:count]], able
-        )
+        found = suggest(lambda count: drawn(cloud, count), densities_of(cloud))
         print(f"{len(cloud)} points of the SfM cloud, cleaned; a gap in the cloud reads as a loop")
     print(*found.sentences, "lengths of bars in floors; what is below 1 hides", sep="\n")
     numbers = ",".join(map(str, found.betti))

@@ -99,8 +99,7 @@ def measured_on(points: np.ndarray, statement: Statement, samples: int) -> State
     """Return the statement with what M = `samples` of the cloud `points` (n,3), world units, show of it above
     one floor. A cloud that shows more than stated, as one with gaps does, measures nothing in that dimension.
     Raises InputError as `alpha_persistence` does."""
-    chosen = stream(0, "density", samples).permutation(len(points))[:samples]
-    cloud = points[chosen] / statement.diagonal
+    cloud = drawn(points, samples) / statement.diagonal
     floor, pairs = measurement_floor(cloud, 1.0), alpha_persistence(cloud, as_given=True)
     shown: list[tuple[float, ...] | None] = []
     for each, wanted in zip(pairs, statement.wanted, strict=True):
@@ -208,6 +207,16 @@ class Density:
         return {"samples": self.samples, "complete": self.complete, "reasons": list(self.reasons)}
 
 
+def drawn(points: np.ndarray, samples: int) -> np.ndarray:
+    """Return M = `samples` of the cloud `points` (n,3), all where there are fewer, drawn by M and n alone."""
+    return points[stream(0, "density", samples).permutation(len(points))[:samples]]
+
+
+def densities_of(points: np.ndarray) -> list[int]:
+    """Return those of DENSITIES for which the cloud `points` (n,3) has enough points."""
+    return [samples for samples in DENSITIES if len(points) >= ENOUGH * samples]
+
+
 def choose_density(points: np.ndarray, statement: Statement, config: LossConfig) -> Density:
     """Return the smallest of DENSITIES at which the cloud `points` (n,3), world units, shows all wanted
     classes.
@@ -218,7 +227,7 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
     asked about M. Raises InputError for a cloud too small for the smallest density, or bad points.
     """
     points, level = np.asarray(points, dtype=np.float64), noise_level(config)
-    able = [samples for samples in DENSITIES if len(points) >= ENOUGH * samples]
+    able = densities_of(points)
     if not able:
         raise InputError(
             f"samples=auto needs an SfM cloud of at least {round(ENOUGH * DENSITIES[0])} points, got "
@@ -229,17 +238,15 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
         return Density(able[0], True, (f"The statement names no class to be seen: M = {able[0]}.",))
     reasons, shown = [], {}
     for samples in able:
-        chosen = stream(0, "density", samples).permutation(len(points))[:samples]
-        wanted = tuple(count if d in dimensions else 0 for d, count in enumerate(statement.wanted))
-        margins = {d: each for d, each in _margins(points[chosen], wanted).items() if d in dimensions}
+        margins = _margins(drawn(points, samples), {d: statement.wanted[d] for d in dimensions})
         shown[samples] = sum(int((each > level).sum()) for each in margins.values())
         weakest = "; ".join(f"{NAMES[d][1]} {each[-1]:.2f}" for d, each in margins.items())
-        asked_for = sum(len(each) for each in margins.values())
+        wanted = sum(len(each) for each in margins.values())
         reasons.append(
-            f"M = {samples}: {shown[samples]} of {asked_for} wanted classes exceed {level:g} of the floor "
+            f"M = {samples}: {shown[samples]} of {wanted} wanted classes exceed {level:g} of the floor "
             f"(the weakest of each dimension: {weakest})."
         )
-        if shown[samples] == asked_for:
+        if shown[samples] == wanted:
             return Density(samples, True, tuple(reasons))
     best = max(able, key=lambda samples: (shown[samples], -samples))
     asked = f"No density shows all of them; M = {best} shows most"
@@ -269,7 +276,7 @@ def suggest(sample: Callable[[int], np.ndarray], densities: Sequence[int] = DENS
     read, sentences = {}, []
     for samples in densities:
         numbers, parts = [], []
-        for dimension, margins in _margins(sample(samples), (SHOWN, SHOWN, SHOWN)).items():
+        for dimension, margins in _margins(sample(samples), dict.fromkeys(range(3), SHOWN)).items():
             above = margins[:-1] / np.maximum(margins[1:], NOISE_LEVEL)
             count = int(np.flatnonzero(above >= DISTINCT)[-1]) + 1 if (above >= DISTINCT).any() else 0
             numbers.append(count + (dimension == 0))
@@ -284,12 +291,12 @@ def suggest(sample: Callable[[int], np.ndarray], densities: Sequence[int] = DENS
     return Suggestion(betti, next(each for each in read if read[each] == betti), tuple(sentences))
 
 
-def _margins(points: np.ndarray, wanted: Sequence[int]) -> dict[int, np.ndarray]:
-    """Return, per dimension, the lifetimes over the floor of its `wanted` longest bars, longest first (0: no
-    such bar)."""
+def _margins(points: np.ndarray, wanted: Mapping[int, int]) -> dict[int, np.ndarray]:
+    """Return, per dimension of `wanted`, the lifetimes over the floor of so many longest bars, longest first
+    (0: no such bar)."""
     floor, pairs = measurement_floor(points, 1.0), alpha_persistence(points, as_given=True)
     found = {}
-    for dimension, count in enumerate(wanted):
+    for dimension, count in wanted.items():
         lifetimes = np.sort(pairs[dimension].deaths - pairs[dimension].births)[::-1][:count]
         found[dimension] = np.pad(lifetimes, (0, count - len(lifetimes))) / floor
     return found
