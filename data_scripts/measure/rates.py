@@ -1,6 +1,6 @@
 """Does one learning rate fit all scenes? PSNR and SSIM of held-out views against the vertices' rate.
 
-One row per scene, factor on the default vertex_lr, steps and picture size. First `python -m paper_artifact
+One row per scene, factor on the default vertex_lr, seed, steps and picture size. First `python -m paper_artifact
 fetch castle lego fox monstree`; they are registered once into --folder and never shipped. A row that is in
 the CSV already is not measured again: a killed sweep goes on. The default is 2,500 steps on whole pictures,
 minutes of CPU a row; --steps 600 --downscale 2 takes half a minute. Needs pycolmap.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -74,6 +75,7 @@ def row_of(name: str, factor: float, scene: Scene, config: RunConfig) -> dict[st
     return {
         "scene": name,
         "factor": factor,
+        "seed": config.seed,
         "steps": config.steps,
         "width": width,
         "height": height,
@@ -93,16 +95,19 @@ def main() -> None:
         downscale={"type": float, "default": 1.0, "help": "of the pictures"},
         scenes={"nargs": "*", "default": [*STUDY, *SCENES], "help": "some of these (%(default)s)"},
         factors={"nargs": "*", "type": float, "default": FACTORS},
+        seeds={"nargs": "*", "type": int, "default": (0, 1, 2)},
     )
     path = given.out / "rates.csv"
     rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
     for name in given.scenes:
         scene, config = scene_and_config(name, given.folder, given.steps, given.downscale)
         height, width = scene.images.shape[2:]
-        for factor in given.factors:
-            key = {"scene": name, "factor": factor, "steps": config.steps, "width": width, "height": height}
+        for seed, factor in product(given.seeds, given.factors):
+            seeded = replace(config, seed=seed)
+            key = {"scene": name, "factor": factor, "seed": seed, "steps": config.steps}
+            key |= {"width": width, "height": height}
             if not any(key.items() <= row.items() for row in rows):
-                rows.append(row_of(name, factor, scene, config))
+                rows.append(row_of(name, factor, scene, seeded))
                 write(pd.DataFrame(rows).sort_values([*key]), path)
 
 
