@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,7 @@ ARMS = DESIGNS | {
     "T2, wrong": ("T2", {}),
     "B5, strong": ("B5", {}),
 }
+ORDER = (("C0", "T3"), ("C1", "T1"), tuple(ARMS)[4:])  # what is asked first
 STRONG = {"protection": 2.0, "subdivided": 0.2}  # of the study allocation_strong
 
 
@@ -111,10 +113,9 @@ def cases(table: str) -> Iterator[tuple[str, Betti | None, str, int]]:
         for arm in DESIGNS:
             yield "horse", None, arm, 1  # the seed at which T1 never acts
     else:
-        for seed in (7, 8, 9):
-            for shape, (_, betti) in HELD_OUT.items():
-                for arm in ARMS:
-                    yield shape, betti, arm, seed
+        for seed, arms in product((7, 8, 9), ORDER):
+            for shape, arm in product(HELD_OUT, arms):
+                yield shape, HELD_OUT[shape][1], arm, seed
 
 
 def mesh_file(shape: str, folder: Path) -> Path:
