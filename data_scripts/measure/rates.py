@@ -1,7 +1,7 @@
 """Does one learning rate fit all scenes? PSNR and SSIM of held-out views against the vertices' rate.
 
 One row per scene, factor on the default vertex_lr, seed, steps and picture size. First run `python -m
-paper_artifact fetch castle lego fox monstree`; they are registered once into --folder and never shipped. A row
+paper_artifact fetch castle lego fox monstree`; they are registered once into --folder, never shipped. A row
 that is in the CSV already is not measured again: a killed sweep goes on. The default is 2,500 steps on whole
 pictures, minutes of CPU a row; --steps 600 --downscale 2 takes half a minute. Needs pycolmap.
 """
