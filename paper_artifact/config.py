@@ -254,7 +254,7 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
             parsed[name.replace("-", "_")] = ast.literal_eval(value)
         except (ValueError, SyntaxError):
             parsed[name.replace("-", "_")] = value
-        except (RecursionError, MemoryError) as error:
+        except (RecursionError, MemoryError, TypeError) as error:
             raise InputError(
                 f"{option} {name}: {_brief(value)} is no number, text or list of these; give one"
             ) from error

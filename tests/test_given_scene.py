@@ -192,9 +192,18 @@ def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path,
     monkeypatch.setitem(STUDIES, "mine", (block,))
     assert cli.main(["sweep", "mine", "--list", f"--results={tmp_path}"]) == 0
     assert "0 of 1 runs recorded" in capsys.readouterr().out  # of 2,500 steps, not of 24
-    for wrong in (["sweep"], ["sweep", "table1", "--steps=3"], [*words, "--shape=torus"]):
-        assert cli.main(wrong) == 2
-    assert "leave it out" in capsys.readouterr().err
+    assert cli.main(["sweep"]) == 2
+
+
+def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.icosphere(1).export("my ball.ply")
+    words = ["sweep", "my ball.ply", "--quiet", "--results=r", "--steps=2", *("--set=size=32", "--set=views=8")]
+    words += ["--set=budget=30", "--set=samples=64", "--condition=C0", "--condition=T3", "--betti=1,0,1"]
+    assert cli.main([*words, "--seed=0", "--seed=0"]) == 0
+    assert "2 runs done, 0 were recorded before" in capsys.readouterr().out
+    assert cli.main([*words, "--seed=0", "--seed=1", "--list"]) == 0
+    assert "missing: my ball.ply T3 seed 1\n2 of 4" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,13 @@ from paper_artifact.config import DEVICES, STEPS_OF_THE_STUDY, LossConfig, RunCo
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
 from paper_artifact.mesh import FEATURES, betti_text
+from paper_artifact.scene.shapes import is_named
 from paper_artifact.study.studies import STUDIES, study_configs
 
 if TYPE_CHECKING:
     from paper_artifact.study.sweep import Outcome
 
-ARGUMENTS = ("shape", "condition", "seed", "steps", "loss", "given")  # fields of a RunConfig with an option
-STUDY_NAMES = [*STUDIES]
+ARGUMENTS = ("shape", "condition", "seed", "steps", "loss", "allocation", "given")  # not taken by --set
 DESCRIBED = [f"{each.name} ({each.description})" for each in CONDITIONS]
 SET = ", ".join(field.name for field in fields(RunConfig) if field.name not in ARGUMENTS)
 LOSS = ", ".join(field.name for field in fields(LossConfig))
@@ -78,7 +78,7 @@ class Train(OwnSceneOptions):
             changes = parse_changes(self.changes, "--set")
             for name in set(changes) & {*ARGUMENTS}:
                 raise WrongUsage(
-                    f"--set {name} is not taken, since {name} has an argument of its own; see --help"
+                    f"--set: {name} has an argument of its own or is the condition's; see --help"
                 )
             loss = parse_changes(self.loss, "--loss")
             if self.betti is not None:
@@ -268,23 +268,24 @@ def _alone_text(dump: dict) -> str:
 class Sweep(OwnSceneOptions):
     """Options of `sweep`.
 
-    study: {STUDY_NAMES} (paper_artifact/study/studies.py); or --scene
-    shape: only this shape (may be given several times)
+    study STUDY|MESH: {STUDIES} (paper_artifact/study/studies.py); or what train takes, a mesh or --scene,
+        under every condition with every seed
+    shape: only this shape of the study (may be given several times)
     condition: only this condition (may be given several times)
     seed: only this seed (may be given several times)
     workers: runs at the same time, one process and one thread each
-    results DIR: folder with runs/ (default: results/, results/own/ for --scene)
+    results DIR: folder with runs/ (default: results/, results/own/ for one's own mesh or scene)
     device: one of {DEVICES}
     executor: where they run
     scheduler ADDRESS: of the Dask scheduler (tcp://host:8786), with --executor dask
-    steps: of each run, with --scene
-    betti B0,B1,B2: for T1 to T3, with --scene
-    changes/set NAME=VALUE: change any other setting, with --scene
+    steps: of each run, of a mesh or scene
+    betti B0,B1,B2: for T1 to T3, of a mesh or scene
+    changes/set NAME=VALUE: change any other setting, of a mesh or scene
     listing/list: only say what is recorded and what is missing
     verify: train what is recorded again elsewhere and compare: the same bits, or the first value that differs
     """
 
-    study: Positional[str | None] = None
+    study: Positional[Source | None] = None
     shape: list[str] = field(default_factory=list)
     condition: list[str] = field(default_factory=list)
     seed: list[int] = field(default_factory=list)
@@ -301,39 +302,40 @@ class Sweep(OwnSceneOptions):
 
     @property
     def configs(self) -> list[RunConfig]:
-        """The runs of a study, or of one scene: every condition with every seed.
+        """The runs of a study, or of one mesh or scene: every condition with every seed.
 
         Raises WrongUsage for what is unknown, out of range or belongs to the other.
         """
-        given = self.given
-        if (self.study is None) == (given is None):
-            raise WrongUsage("give either a study or --scene DIR; see --help")
-        if given is None:
-            assert self.study is not None
+        if (self.study is None) == (self.given is None):
+            raise WrongUsage("give either a study (or a mesh file) or --scene DIR; see --help")
+        if self.study in STUDIES:
             if self.steps is not None or self.betti is not None or self.changes:
                 raise WrongUsage(
-                    "--steps, --betti and --set go with --scene; a study's rows have its settings"
+                    "--steps, --betti and --set go with a mesh or --scene; a study's rows have its settings"
                 )
             with usage_checked():
                 return study_configs(
                     self.study, self.shape or None, self.condition or None, self.seed or None
                 )
+        if self.study is not None and not (is_named(self.study) or Path(self.study).exists()):
+            known = ", ".join(STUDIES)
+            raise WrongUsage(f"unknown study {self.study!r}; choose one of {known}, or an existing mesh file")
         if self.shape:
-            raise WrongUsage("--shape restricts a study; with --scene leave it out")
+            raise WrongUsage("--shape restricts a study; with a mesh or --scene leave it out")
+        own = {each.name: getattr(self, each.name) for each in fields(OwnSceneOptions)}
+        steps = {} if self.steps is None else {"steps": self.steps}
+        own |= steps | {"shape": self.study, "changes": self.changes}
+        conditions = dict.fromkeys(self.condition or [BASELINE])
+        with usage_checked():
+            stated = [name for name in conditions if getattr(get_condition(name).loss, "kind", "") == "betti"]
+        if self.betti is not None and not stated:
+            raise WrongUsage(f"--betti is for T1 to T3, not {', '.join(conditions)}; add --condition T3")
         found: list[RunConfig] = []
-        for name in self.condition or [BASELINE]:
+        for name in conditions:
+            betti = self.betti if name in stated else None
+            one = audited(Train(condition=name, betti=betti, **own).config, ())  # once, not once a seed
             with usage_checked():
-                loss = get_condition(name).loss
-            stated = self.betti if loss is not None and loss.kind == "betti" else None
-            config = None
-            for seed in self.seed or [0]:
-                own = {each.name: getattr(self, each.name) for each in fields(OwnSceneOptions)}
-                steps = STEPS_OF_THE_STUDY if self.steps is None else self.steps
-                own |= {"changes": self.changes, "steps": steps, "betti": stated}
-                one = Train(condition=name, seed=seed, **own).config
-                # The target is audited once a condition, not once a seed.
-                config = audited(one, ()) if config is None else replace(config, seed=seed)
-                found.append(config)
+                found += [replace(one, seed=seed) for seed in dict.fromkeys(self.seed or [0])]
         return found
 
 
