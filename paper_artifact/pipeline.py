@@ -49,6 +49,7 @@ from paper_artifact.topology.statement import Statement, finished, frame_diagona
 from paper_artifact.topology.term import TopologyTerm, statement_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
+from paper_artifact.train.state import alone
 
 DENSE = 20_000  # points of the target surface that hold an importance field
 
@@ -246,52 +247,55 @@ def run(
     check_device(device)
     subject = subject_of(config, mesh)
     config, results = subject.given.config, results or subject.results
-    if not again and (recorded := recorded_path(config, results / "runs")) is not None:
-        return _uncontradicted(read_record(recorded), strict)
+    if not again and (found := recorded_path(config, results / "runs")) is not None:
+        return _uncontradicted(read_record(found), strict)
     others = (config.loss or config).samples, (config.allocation or config).samples
     require_memory_for(max(config.samples, *others))
     bundle = _target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = record_path(config, results / "runs")
     check_writable(path)
-    scene = subject.scene(results)
-    if tell is not None:
-        for remark in subject.remarks(scene):
-            tell(remark)
-    mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
-    term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
-    target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
-    resampler, importance = make_run_allocation(config, mesh, scene.points)
     checkpoint = results / "checkpoints" / f"{path.stem}-{subject.content()[:8]}.pt"
-    cpu = time.process_time()
-    state = train(
-        scene,
-        config,
-        term=term,
-        evaluate=_evaluator(config, scene, target),
-        checkpoint=checkpoint,
-        progress=progress,
-        device=device,
-        resampler=resampler,
-        importance=importance,
-        tell=tell,
-    )
-    sections = {
-        "images": _holdout_section(state.soup, scene),
-        "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
-        "cpu_seconds": round(time.process_time() - cpu, 2),
-        "resumed_at": state.resumed_at,
-        **({"warnings": state.warnings} if state.warnings else {}),
-        **subject.sections(scene, target),
-        **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
-        **({} if term is None else _term_sections(term)),
-    }
-    losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
-    scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
-    record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
-    save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
-    write_record(record, results / "runs")
-    checkpoint.unlink(missing_ok=True)
-    return _uncontradicted(record, strict)
+    with alone(checkpoint, tell):
+        if not again and (found := recorded_path(config, results / "runs")) is not None:  # meanwhile
+            return _uncontradicted(read_record(found), strict)
+        scene = subject.scene(results)
+        if tell is not None:
+            for remark in subject.remarks(scene):
+                tell(remark)
+        mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
+        term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
+        target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
+        resampler, importance = make_run_allocation(config, mesh, scene.points)
+        cpu = time.process_time()
+        state = train(
+            scene,
+            config,
+            term=term,
+            evaluate=_evaluator(config, scene, target),
+            checkpoint=checkpoint,
+            progress=progress,
+            device=device,
+            resampler=resampler,
+            importance=importance,
+            tell=tell,
+        )
+        sections = {
+            "images": _holdout_section(state.soup, scene),
+            "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
+            "cpu_seconds": round(time.process_time() - cpu, 2),
+            "resumed_at": state.resumed_at,
+            **({"warnings": state.warnings} if state.warnings else {}),
+            **subject.sections(scene, target),
+            **({} if scene.frame == SAME else {"frame": scene.frame.to_json()}),
+            **({} if term is None else _term_sections(term)),
+        }
+        losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
+        scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
+        record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
+        save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
+        write_record(record, results / "runs")
+        checkpoint.unlink(missing_ok=True)
+        return _uncontradicted(record, strict)
 
 
 def _target_bundle(config: RunConfig, given: Given) -> Bundle | None:

@@ -198,8 +198,9 @@ def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path,
 def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.icosphere(1).export("my ball.ply")
-    words = ["sweep", "my ball.ply", "--quiet", "--results=r", "--steps=2", *("--set=size=32", "--set=views=8")]
-    words += ["--set=budget=30", "--set=samples=64", "--condition=C0", "--condition=T3", "--betti=1,0,1"]
+    words = ["sweep", "my ball.ply", "--quiet", "--results=r", "--condition=C0", "--condition=T3"]
+    words += ["--betti=1,0,1", "--steps=2", "--set=size=32", "--set=views=8", "--set=budget=30"]
+    words += ["--set=samples=64"]
     assert cli.main([*words, "--seed=0", "--seed=0"]) == 0
     assert "2 runs done, 0 were recorded before" in capsys.readouterr().out
     assert cli.main([*words, "--seed=0", "--seed=1", "--list"]) == 0

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 import torch
@@ -112,6 +113,33 @@ def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
     assert cli.main([*tiny_arguments(), f"--results={folder}"]) == 0
     printed = capsys.readouterr().out
     assert "sphere C0 seed 0" in printed and "held-out PSNR" in printed and str(folder / "runs") in printed
+
+
+def test_two_equal_runs_at_once_train_once(tiny_results, tmp_path, monkeypatch):
+    shutil.copytree(tiny_results, tmp_path / "r")
+    trained, waits, records = [], threading.Event(), []
+    second = threading.Thread(
+        target=lambda: records.append(
+            run(
+                tiny_config(),
+                results=tmp_path / "r",
+                tell=lambda text: waits.set() if "waiting" in text else None,
+            )
+        )
+    )
+
+    def slow(*arguments, **options):
+        trained.append(0)
+        if len(trained) == 1:
+            second.start()
+            assert waits.wait(60), "the second run does not wait for the first"
+        return train(*arguments, **options)
+
+    monkeypatch.setattr("paper_artifact.pipeline.train", slow)
+    records.append(run(tiny_config(), results=tmp_path / "r"))
+    second.join()
+    assert len(trained) == 1 and records[0] == records[1]
+    assert not list((tmp_path / "r" / "checkpoints").iterdir())
 
 
 def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, tmp_path):

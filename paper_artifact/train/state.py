@@ -9,11 +9,13 @@ bit that flipped on the disk is refused instead of giving another result.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import io
+import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -25,7 +27,7 @@ from torch import Tensor
 from paper_artifact.arithmetic import power
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_bytes
+from paper_artifact.files import write_bytes, write_failure
 from paper_artifact.soup.adam import KernelOptimiser, TorchOptimiser, soup_optimiser
 from paper_artifact.soup.state import Soup, soup_of
 from paper_artifact.train.backend import Backend
@@ -128,6 +130,39 @@ class LossTerm(Protocol):
 FORMAT = 4  # raised whenever the same state would go on to other bits
 SEAL = b"paper_artifact checkpoint, sha256 "
 HISTORY = ("step", "losses", "dumps", "resamplings", "seconds")  # fields of the state, stored as they are
+
+
+@contextmanager
+def alone(checkpoint: Path, tell: Callable[[str], object] | None = None) -> Iterator[None]:
+    """Let no other process of this machine be in this block for the same checkpoint: wait until it has left,
+    and say so.
+
+    A killed process is in it no more; its lock file stays until the next one leaves. Raises InputError when
+    the folder is not writable.
+    """
+    path = checkpoint.with_suffix(".lock")
+    linked = 0
+    while not linked:  # by the one that left
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock = os.open(path, os.O_RDWR | os.O_CREAT)
+        except OSError as error:
+            raise write_failure(path, error) from error
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if tell is not None:
+                    tell("another process makes this run; waiting for its record")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+        linked = os.fstat(lock).st_nlink
+        if not linked:
+            os.close(lock)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(lock)
 
 
 def write_checkpoint(
