@@ -8,8 +8,12 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+import weakref
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from distributed import LocalCluster
@@ -372,6 +376,28 @@ def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, mo
     records, expected = find_records(tmp_path / "results" / "runs"), find_records(swept[0] / "runs")
     assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected, strict=True))
     assert missing(list(CONFIGS), tmp_path / "results") == []
+
+
+def test_a_run_is_let_go_once_it_is_recorded(monkeypatch):
+    """Dask makes a finished run again when its worker dies, as long as somebody holds its future."""
+    held = []
+
+    class Pool(ThreadPoolExecutor):
+        def submit(self, *arguments):
+            future = super().submit(*arguments)
+            held.append(weakref.ref(future))
+            return future
+
+    monkeypatch.setattr(sweep_module, "remote_run", lambda values, device: (1.0, None))
+    running = sweep_module.run_all(
+        list(CONFIGS), REPOSITORY, "cpu", 1, SimpleNamespace(get_executor=lambda: Pool(1))
+    )
+    for left in (1, 0):
+        assert next(running).failure is None
+        end = time.monotonic() + 5
+        while sum(each() is not None for each in held) > left and time.monotonic() < end:
+            time.sleep(0.01)  # the pool's thread lets go a moment later
+        assert sum(each() is not None for each in held) <= left
 
 
 def test_no_scheduler_is_told_in_one_line(tmp_path):

@@ -194,28 +194,29 @@ def run_all(
 
     pool = ThreadPoolExecutor(workers) if client is None else client.get_executor()
     try:
-        futures = {
-            pool.submit(local_run, config)
-            if client is None
-            else pool.submit(remote_run, config_values(config), device): config
-            for config in todo
-        }
-        for future in futures:
+        futures: dict[Future, RunConfig] = {}
+        for config in todo:
+            values = config_values(config)
+            future = (
+                pool.submit(local_run, config) if client is None else pool.submit(remote_run, values, device)
+            )
+            futures[future] = config
             future.add_done_callback(events.put)
-        left = len(futures)
-        while left:
+            del future
+        while futures:
             event = events.get()
             if isinstance(event, Step):
                 yield event
                 continue
-            left, seconds, failure = left - 1, 0.0, None
+            config, seconds, failure = futures.pop(event), 0.0, None
             try:
                 seconds, record = event.result()
                 if record is not None:
                     write_record(record, results / "runs")
             except Exception as error:  # whatever happened there is this run's failure, not the sweep's
                 failure = (str(error).strip() or type(error).__name__).splitlines()[0]
-            yield Outcome(futures[event], seconds, failure)
+            del event  # Dask makes a run again whose worker dies while somebody holds its future
+            yield Outcome(config, seconds, failure)
     finally:  # also on Ctrl-C: checkpoints let the killed runs resume
         with lock:
             stopping.set()
