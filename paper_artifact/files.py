@@ -1,13 +1,12 @@
 """The folders that the package reads and writes, and atomic writes.
 
-In a checkout, `REPOSITORY` is its top and results go to its results/. An installed package has no checkout:
-both are of the current folder then, and what only a checkout holds (data_scripts/meshes.csv,
-results/published/, notebooks/) is not there.
+In a checkout, `REPOSITORY` is its top and results go to its results/. Of an installed package both are of the
+current folder, without what only a checkout holds (data_scripts/meshes.csv, results/published/).
 
-A reader of a path written here sees either the old content or the new one, never a part: the data go to a
-temporary folder beside it, are flushed to disk, and take the final name in one rename. The process that
-writes holds a lock on that folder. What a killed process left is not locked; the next write beside it removes
-it. A folder is cleared only of files that its manifest lists (`renewed_folder`).
+A reader of a path written here sees the old content or the new one, never a part: the data go to a temporary
+folder beside it, are flushed to disk, and take the final name in one rename. The writer holds a lock on that
+folder; what a killed process left is not locked, and the next write beside it removes it. Links are followed;
+devices and pipes are refused. A folder is cleared only of files that its manifest lists (`renewed_folder`).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from paper_artifact.errors import InputError
 RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
 SPACE = "free some space and run the same command again"
 LIMIT = "raise the file size limit (ulimit -f), or use another file system, and run the same command again"
-DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT}  # what is to be done
+DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT, errno.ENOTBLK: "name a file"}
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
@@ -43,14 +42,13 @@ FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: fo
 
 def _current_folder() -> Path:
     """Return the current folder, the root where it was deleted: the command line says so then."""
-    try:
+    with suppress(FileNotFoundError):
         return Path.cwd()
-    except FileNotFoundError:
-        return Path(os.sep)
+    return Path(os.sep)
 
 
 def _find_checkout(package: Path) -> Path | None:
-    """Return the top of the checkout that the folder `package` lies in, None where there is no checkout."""
+    """Return the top of the checkout around the folder `package`, None for none."""
     above = package.resolve().parent
     return above if (above / "data_scripts" / "meshes.csv").is_file() else None
 
@@ -71,7 +69,7 @@ def partial_folder(parent: Path) -> Iterator[Path]:
     """Yield a new temporary folder in `parent`, locked by this process, and remove it afterwards; what killed
     processes left in `parent` is removed before. Raises OSError when `parent` cannot be made or written.
 
-    The folder holds its lock; one file or folder with its final name is to be made in it and moved out.
+    One file or folder with its final name is to be made in it, beside the lock, and moved out.
     """
     parent.mkdir(parents=True, exist_ok=True)
     clear_partials(parent)
@@ -117,6 +115,14 @@ def _locked_folder(parent: Path) -> tuple[Path, int]:
         os.close(lock)  # as above
 
 
+def plain(path: Path | str) -> Path:
+    """Return the path behind symbolic links. Raises OSError for a device or a pipe."""
+    found = Path(os.path.realpath(path))
+    if found.exists() and not (found.is_file() or found.is_dir()):
+        raise OSError(errno.ENOTBLK, "it is a device or a pipe")
+    return found
+
+
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
     try:
@@ -127,7 +133,7 @@ def _writing(path: Path) -> Iterator[None]:
 
 def check_writable(path: Path) -> None:
     """Make the folder of the file `path`. Raises InputError when no file can be written there."""
-    with _writing(path), partial_folder(path.parent):
+    with _writing(path), partial_folder(plain(path).parent):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
 
@@ -142,7 +148,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     with ExitStack() as stack:
         with _writing(path):
-            temporary = stack.enter_context(partial_folder(path.parent)) / path.name
+            place = plain(path)
+            temporary = stack.enter_context(partial_folder(place.parent)) / path.name
         try:
             yield temporary
         except OSError as error:
@@ -153,7 +160,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with _writing(path):
             with open(temporary, "rb") as written:
                 os.fsync(written.fileno())
-            os.replace(temporary, path)
+            os.replace(temporary, place)
 
 
 @contextmanager
@@ -244,10 +251,10 @@ def write_json(path: Path | str, value: Any) -> None:
 def load_json(path: Path | str) -> Any:
     """Return what the JSON file at `path` holds.
 
-    Raises OSError when it cannot be read, ValueError when it is damaged, holds NaN or is nested without end.
+    Raises OSError when it cannot be read, ValueError when it is damaged, holds NaN or is nested too deeply.
     """
     try:
-        return json.loads(decoded(Path(path).read_bytes()), parse_constant=_refuse_constant)
+        return json.loads(decoded(plain(path).read_bytes()), parse_constant=_refuse_constant)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
 
@@ -272,20 +279,16 @@ def load_npz(path: Path | str) -> dict[str, Any]:
         with zipfile.ZipFile(path) as archive:
             check_archive(archive)
             return {name.removesuffix(".npy"): _array(archive.read(name)) for name in archive.namelist()}
-    except zipfile.BadZipFile as error:
-        raise ValueError(f"it is damaged, cut off or no .npz archive: {error}") from error
     except (OSError, ValueError):
         raise
     except Exception as error:  # zipfile, zlib and numpy raise many kinds
-        raise ValueError(str(error) or type(error).__name__) from error
+        raise ValueError(f"it is damaged, cut off or no .npz archive: {error!r}") from error
 
 
 def check_archive(archive: zipfile.ZipFile) -> None:
-    """Raise ValueError when a zip archive says that it unpacks to more than LARGEST bytes, or cannot be held
-    to that."""
+    """Raise ValueError when a zip archive unpacks to more than LARGEST bytes, or says not how many."""
     members = archive.infolist()
-    size = sum(member.file_size for member in members)
-    if size > LARGEST:
+    if (size := sum(member.file_size for member in members)) > LARGEST:
         raise ValueError(f"it unpacks to {size} bytes, more than the {LARGEST} that are read")
     # The size that is given binds the reader for these two only.
     if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
@@ -342,13 +345,12 @@ def _leads_out(name: str) -> bool:
 
 
 def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Path]:
-    """Return the files below `folder` that `parts` name but for case and, at the end, image ending."""
+    """Return the files below `folder` that `parts` name but for case and image ending."""
     places = [folder]
     for number, part in enumerate(parts):
         last, wanted = number == len(parts) - 1, part.casefold()
-        images = wanted.endswith(IMAGE_ENDINGS)
         names = {wanted, *(wanted + ending.casefold() for ending in endings)} if last else {wanted}
-        if last and images:
+        if last and wanted.endswith(IMAGE_ENDINGS):
             names |= {wanted.rpartition(".")[0] + ending for ending in IMAGE_ENDINGS}
         try:
             entries = [entry for place in places for entry in sorted(place.iterdir())]
@@ -365,22 +367,19 @@ def decoded(data: bytes) -> str:
 
     Every line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names.
     """
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text = data.decode("utf-16", errors="replace")
-    else:
-        text = data.decode("utf-8-sig", errors="surrogateescape")
+    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    text = data.decode("utf-16", "replace") if wide else data.decode("utf-8-sig", "surrogateescape")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def whole(word: str) -> int:
     """Return the whole number that a word states, as 64, 64.0 or 6.4e1. Raises ValueError for any other."""
-    try:
-        return int(word)
-    except ValueError:
-        value = float(word)
-    if not value.is_integer():
-        raise ValueError(f"{word} is no whole number")
-    return int(value)
+    if "_" not in word:  # Python reads 1_0 as 10
+        with suppress(ValueError):
+            return int(word)
+        if (value := float(word)).is_integer():
+            return int(value)
+    raise ValueError(f"{word} is no whole number")
 
 
 def _array(data: bytes) -> Any:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from paper_artifact.arithmetic import dot, norm
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
+
+MANY, BYTES = 10**7, 150  # samples for which memory is asked about first, and what one takes
 
 
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -35,6 +37,8 @@ def sample_surface(
     """
     if count < 0:
         raise InputError(f"the number of samples must not be negative, got {count}")
+    if count > MANY:
+        require_memory(BYTES * count, f"{count} samples", "give fewer samples")
     vertices = np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
     mass = face_areas(vertices, faces)

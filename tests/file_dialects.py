@@ -71,6 +71,8 @@ FILES: dict[str, dict[str, Any]] = {
         "old Mac line ends": OBJ.replace("\n", "\r"),
         "tabs and blanks": OBJ.replace(" ", "\t  ").replace("\n", " \t\n\n"),
         "comments after values": OBJ.replace("\n", " # a comment\n"),
+        "comments that end in a backslash": "# C:\\models\\\n" + OBJ.replace("\nf", "\n# here\\\nf", 1),
+        "keywords in capitals": OBJ.upper(),
         "lines continued by a backslash": OBJ.replace("f 1 ", "f 1 \\\n "),
         "texture and normal indices": SLASHES.replace("f 2 ", "f 2//1 ").replace("f 3 ", "f 3/1 "),
         "colours after positions": OBJ.replace("\nf", " \nf").replace("\nv", " .1 .2 .3\nv"),
@@ -86,6 +88,7 @@ FILES: dict[str, dict[str, Any]] = {
         "cut off within a face": (OBJ + "f 1 2", "cut off at line 21"),
         "index 0": (OBJ + "f 0 1 2\n", "refers to vertex 0"),
         "decimal commas": (OBJ.replace("v 1 ", "v 1,0 "), "1,0"),
+        "digits with an underscore": (OBJ.replace("f 1 6", "f 1 0_6"), "0_6"),
     },
     "PLY": {
         "text": ply(),
@@ -120,6 +123,7 @@ FILES: dict[str, dict[str, Any]] = {
         "text, capitals, tabs, Windows line ends": STL_TEXT.upper().replace(" ", "\t").replace("\n", "\r\n"),
         "text, several solids": STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1),
         "text cut off": (STL_TEXT[:-60], "cut off before its 'endsolid'"),
+        "text cut off in its second solid": (f"{STL_TEXT}solid b\n{FACETS}", "cut off before its 'endsolid'"),
     },
     "OFF": {
         "triangles": "OFF\n" + OFF,

@@ -74,7 +74,7 @@ def test_export_writes_every_format(soup_file, tmp_path, capsys):
     out = tmp_path / "exports"
     words = f"export {soup_file} --out {out} --views 2 --size 48 --target sphere"
     assert main(words.split()) == 0
-    names = sorted(path.name for path in out.iterdir())
+    names = sorted(path.name for path in out.glob("[!.]*"))
     assert names == [
         f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
     ]
@@ -130,6 +130,34 @@ def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path
     assert scores() == (other[0], other[1], "")
 
 
+def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, capsys):
+    (tmp_path / f"{soup_file.stem}.ply").write_text("precious")
+    words = f"export {soup_file} --formats ply --out {tmp_path}"
+    assert main(words.split()) == 1
+    assert "was not written by this command" in capsys.readouterr().err
+    assert (tmp_path / f"{soup_file.stem}.ply").read_text() == "precious"
+    words = f"export {soup_file} --formats ply --out {tmp_path}/new"
+    assert main(words.split()) == main(words.split()) == 0
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"offset": [0.0, 1.0], "exponent": 0},
+        {"offset": [0.0, 1.0, 2.0]},
+        {"exponent": 3},
+        {"offset": [np.nan, 0.0, 0.0], "exponent": 0},
+        {"offset": ["a", "b", "c"], "exponent": 0},
+        {"offset": [0.0, 0.0, 0.0], "exponent": 5000},
+    ],
+)
+def test_a_soup_with_a_damaged_frame_is_refused(frame, soup_file, tmp_path, capsys):
+    with np.load(soup_file) as data:
+        np.savez(soup_file, **data, **frame)
+    assert main(f"export {soup_file} --formats ply --out {tmp_path}/out".split()) == 1
+    assert "the frame (offset, exponent) of the soup" in capsys.readouterr().err
+
+
 def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path, capsys):
     scene, soup, _ = trained_on_a_scene
     words = ["export", str(soup), "--scene", str(scene), "--formats", "png", "--out"]
@@ -138,7 +166,7 @@ def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path,
     assert "as the run was trained" in told.err and all(Path(line).is_file() for line in told.out.split())
     asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
     assert main([*words, str(tmp_path / "b"), *asked]) == 0
-    files = [sorted((tmp_path / each).iterdir()) for each in "ab"]
+    files = [sorted((tmp_path / each).glob("[!.]*")) for each in "ab"]
     assert len(files[0]) == 5  # four held-out views, and all on one sheet
     assert [each.read_bytes() for each in files[0]] == [each.read_bytes() for each in files[1]]
     with Image.open(files[0][0]) as picture:

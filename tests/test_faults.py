@@ -26,11 +26,14 @@ import torch
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.errors import InputError
 from paper_artifact.export.models import Triangles
 from paper_artifact.export.viewer import html_page
 from paper_artifact.files import REPOSITORY, write_text
 from paper_artifact.pages import script_policy
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
+from paper_artifact.topology import BettiLoss
+from paper_artifact.topology.bundle import build_from_mesh
 from tests.test_book_browser import BROWSER, FLAGS
 
 pytestmark = pytest.mark.faults
@@ -226,3 +229,56 @@ def test_a_browser_refuses_a_script_that_was_put_into_a_view(folder):
     assert "Refused to execute inline script" in result.stderr or "violates the following" in result.stderr
     assert "<title>run" not in result.stdout
     assert re.search('<div id="names"[^>]*><div', result.stdout), "its own script ran"
+
+
+def test_a_file_whose_name_was_not_given_is_not_replaced(folder, capsys):
+    Path("ball_filled.ply").write_text("precious")
+    assert cli.main(["certify", "ball.ply", "--fill", "1"]) == 1
+    assert "ball_filled.ply is there already; --out" in capsys.readouterr().err
+    assert cli.main(["certify", "ball.ply", "--fill", "1", "--out", "x.xyz"]) == 1
+    assert "must end in" in capsys.readouterr().err
+    assert Path("ball_filled.ply").read_text() == "precious"
+
+
+def test_an_audit_is_not_replaced_by_that_of_another_mesh_of_the_same_name(folder, monkeypatch, capsys):
+    monkeypatch.setattr("paper_artifact.cli.meshes.RESULTS", folder / "results")
+    Path("other").mkdir()
+    trimesh.creation.box().export("other/ball.ply")
+    words = ["--densities", "64", "--working", "64"]
+    assert cli.main(["audit", "ball.ply", *words]) == cli.main(["audit", "ball.ply", *words]) == 0
+    before = contents(folder / "results")
+    assert cli.main(["audit", "other/ball.ply", *words]) == 2
+    assert "has the audit of" in capsys.readouterr().err
+    assert contents(folder / "results") == before
+
+
+@pytest.mark.parametrize("limit", (200_000, 300_000))
+def test_too_little_memory_to_import_a_library_is_one_sentence(limit, folder):
+    command = f"ulimit -v {limit}; exec {sys.executable} -m paper_artifact certify ball.ply"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "needs more memory than there is" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_python_without_docstrings_is_one_sentence(folder):
+    command = [sys.executable, "-OO", "-m", "paper_artifact", "certify", "ball.ply"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and "leave -OO out" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_library_refuses_what_the_verbs_refuse():
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    for wrong in (faces + 10**6, faces - 1):
+        with pytest.raises(InputError, match="mesh"):
+            build_from_mesh(points, wrong, 100)
+    with pytest.raises(InputError, match="GiB of memory"):
+        build_from_mesh(points, faces, 10**10)
+    with pytest.raises(InputError, match="three whole numbers"):
+        BettiLoss(None)
+
+
+@pytest.mark.parametrize("scale", (1e-200, 1e200))
+def test_stated_numbers_work_at_any_scale(scale):
+    points = torch.from_numpy(np.random.default_rng(0).random((80, 3)))
+    plain, scaled = (BettiLoss((1, 1, 0))(points * factor).item() for factor in (1.0, scale))
+    assert scaled == pytest.approx(plain)

@@ -21,6 +21,7 @@ from paper_artifact.record.store import find_records
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import make_shape
+from paper_artifact.topology.bundle import load_bundle
 
 pytestmark = pytest.mark.faults
 
@@ -157,6 +158,18 @@ def test_files_and_folders_have_the_rights_that_the_user_wants(tmp_path):
         assert {path.stat().st_mode & 0o777 for path in tmp_path.rglob("*.png") if scene in path.parents} | {
             path.stat().st_mode & 0o777 for path in (tmp_path / f"{mask}.txt", scene / "scene.json")
         } == {0o666 & ~mask}
+
+
+def test_a_link_is_followed_and_a_pipe_refused(tmp_path):
+    (tmp_path / "link").symlink_to("real")
+    write_text(tmp_path / "real", "old")
+    write_text(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "real").read_text() == "new"
+    os.mkfifo(tmp_path / "pipe")
+    for act in (lambda path: write_text(path, "x"), load_bundle):
+        with pytest.raises(InputError, match="a device or a pipe"):
+            act(tmp_path / "pipe")
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_a_name_that_no_file_can_have_is_a_sentence(tmp_path):

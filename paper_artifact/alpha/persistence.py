@@ -135,7 +135,8 @@ def check_points(points: Any) -> np.ndarray:
     advice = "give an (n, 3) or (n, 2) array of real numbers"
     if isinstance(points, np.ma.MaskedArray):
         raise InputError(
-            f"the points are a masked array, whose mask would be lost; {advice}, e.g. points.compressed()"
+            f"the points are a masked array, whose mask would be lost; {advice}, e.g. "
+            "np.ma.compress_rows(points)"
         )
     try:
         if hasattr(points, "detach"):

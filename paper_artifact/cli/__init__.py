@@ -30,6 +30,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import DISK_BROKEN, DISK_FULL, check_writable, write_failure, write_json
 
 Runner = Callable[[Any], Any]
+NO_MEMORY = ("failed to map segment", "allocate memory")  # what a library's import says
 
 
 VERBS: dict[str, tuple[str, str]] = {  # name: (module.function in this folder, what it does)
@@ -89,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader (head, less) has gone
         _silence_stdout()
         return 1
-    except (InputError, OSError, MemoryError, ModuleNotFoundError, KeyboardInterrupt) as error:
+    except (InputError, OSError, MemoryError, ImportError, KeyboardInterrupt) as error:
         text = _sentence(error, asked)
         if text is None:
             raise
@@ -106,6 +107,8 @@ def _run(argv: list[str], asked: str | None) -> int:
         os.getcwd()
     except FileNotFoundError as error:
         raise InputError("the current folder was deleted; change to one that exists") from error
+    if sys.flags.optimize > 1:
+        raise WrongUsage("python -OO removes the texts that the options are read from; leave -OO out")
     parser, runner = _parser(asked)
     with suppress(ImportError):
         import argcomplete
@@ -133,7 +136,8 @@ def _sentence(error: BaseException, asked: str | None) -> str | None:
         return str(error)
     if isinstance(error, KeyboardInterrupt):
         return "interrupted; finished files are complete and the same command can be run again"
-    if isinstance(error, MemoryError):
+    texts = f"{error} {error.__cause__} {error.__context__}"
+    if isinstance(error, MemoryError) or any(words in texts for words in NO_MEMORY):
         return f"the verb '{asked}' needs more memory than there is; ask for less, or use a larger machine"
     if isinstance(error, ModuleNotFoundError):
         if (error.name or "").partition(".")[0] in ("", "paper_artifact"):
@@ -142,7 +146,8 @@ def _sentence(error: BaseException, asked: str | None) -> str | None:
             f"the verb '{asked}' needs the Python package '{error.name}', which is not installed; in a "
             "checkout run `bash test.sh` and use .venv/bin/python, else `pip install '.[study]'` there"
         )
-    assert isinstance(error, OSError)
+    if not isinstance(error, OSError):
+        return None
     if error.errno in {*DISK_FULL, *DISK_BROKEN}:
         return str(write_failure(error.filename or "the output", error))
     if error.errno == errno.ENAMETOOLONG:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS, renewed_folder, write_json, write_text
+from paper_artifact.files import RESULTS, load_json, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.fetch import sources
@@ -75,6 +76,8 @@ def certify(options: Certify) -> tuple[int, Any]:
         raise WrongUsage(f"--where writes .html or .ply, got {options.where}")
     if options.fill is not None and options.cut is not None:
         raise WrongUsage("give --fill or --cut, one at a time: the other's numbers change with it")
+    if options.fill or options.cut:
+        _mended(options)
     if options.mesh is None:
         rows = dispositions()
         print(f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured")
@@ -104,6 +107,18 @@ def certify(options: Certify) -> tuple[int, Any]:
     else:
         print(next_command("ingest", options.mesh, "--out", f"{mesh.name}_shell.ply"))
     return int(not certificate.passed), found
+
+
+def _mended(options: Certify) -> Path:
+    """Return where --fill or --cut writes. Raises InputError for an ending that is not written, and where the
+    name was not given and there is such a file."""
+    from paper_artifact.ingest.solidify import check_format
+
+    out = options.out or Path(f"{Path(str(options.mesh)).stem}_{'filled' if options.fill else 'cut'}.ply")
+    check_format(out)
+    if options.out is None and out.exists():
+        raise InputError(f"{out} is there already; --out {out} replaces it, --out with another name keeps it")
+    return out
 
 
 def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
@@ -157,7 +172,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         kind, number = asked
         if number > len(of_kind[kind]):
             raise InputError(f"{mesh.name} has {len(of_kind[kind])} {kind}s, so none of number {number}")
-        out = options.out or Path(f"{mesh.name}_{'filled' if kind == HOLE else 'cut'}.ply")
+        out = _mended(options)
         written = write_shell(out, cut_and_capped(mesh, of_kind[kind][number - 1]))
         print(f"{out}: {verdict_text(written)}, {written.kind}, {betti_text(written.betti)}")
         print(next_command("certify", out, "--where", f"{out.stem}.html"))
@@ -223,6 +238,20 @@ def propose(soup: str | None, scene: Path | None) -> int:
     return 0
 
 
+def _identity(mesh: str) -> str:
+    """Return the absolute path of a mesh file, a name as it is."""
+    return str(Path(mesh).resolve()) if Path(mesh).is_file() else mesh
+
+
+def _check_other(folder: Path, mesh: str) -> None:
+    """Raise InputError where the folder has the audit of another mesh, which has the same name."""
+    other = None
+    with suppress(OSError, ValueError, AttributeError):
+        other = load_json(folder / "audit.json").get("mesh")
+    if other not in (None, _identity(mesh)):
+        raise WrongUsage(f"{folder} has the audit of {other}; give another folder with --out")
+
+
 def audit(options: AuditOptions) -> int:
     """Audit, write the page, print a summary. Returns 0, also when nothing is measurable."""
     if options.mesh is None or options.mesh.endswith(".npz"):
@@ -238,6 +267,8 @@ def audit(options: AuditOptions) -> int:
 
     mesh = find_mesh(options.mesh, welded=False)
     folder = options.out or RESULTS / "audits" / (re.sub(r"[^\w.-]+", "_", mesh.name) or "mesh")
+    if options.out is None:
+        _check_other(folder, options.mesh)
     with renewed_folder(folder, "audit", AUDIT_FILES) as new, stage_bar(options.mesh, options.quiet) as stage:
         found = audit_mesh(
             mesh,
@@ -249,7 +280,7 @@ def audit(options: AuditOptions) -> int:
             progress=stage,
         )
         page = audit_page(found)
-        write_json(new / "audit.json", found.to_json())
+        write_json(new / "audit.json", found.to_json() | {"mesh": _identity(options.mesh)})
         if found.bundle is not None:
             found.bundle.save(new / "bundle.json")
         write_text(new / "audit.html", page)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +14,7 @@ from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.cli.reading import ReadingOptions
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
-from paper_artifact.files import RESULTS
+from paper_artifact.files import RESULTS, renewed_folder
 from paper_artifact.mesh import FEATURES
 
 if TYPE_CHECKING:
@@ -176,7 +178,8 @@ class Export(ReadingOptions):
     """Options of `export`.
 
     soup SOUP: a trained soup, results/soups/<run>.npz
-    out DIR: the folder for the files, which are named after the soup
+    out DIR: the folder for the files, which are named after the soup; files of such a name that no `export`
+        wrote are left alone, with an error
     formats FORMAT: which of {FORMATS} (default: all)
     target SHAPE|MESH: a ground truth (shape, key of a fetched mesh, or file) to show beside it in the HTML
         view
@@ -212,35 +215,35 @@ def exported(options: Export) -> list[Path]:
     settings = options.reading_of_run(file)
     soup, frame = load_soup(file), load_frame(file)
     triangles = soup_triangles(soup)
-    written: list[Path] = []
     for kind in options.formats:
         if options.target and realpath(options.target) == realpath(options.out / f"{file.stem}.{kind}"):
             raise WrongUsage(
                 f"--target {options.target} would be lost: --out gets a file of this name; give another"
             )
-
-    def path_of(kind: str) -> Path:
-        written.append(options.out / f"{file.stem}.{kind}")
-        return written[-1]
-
+    files: dict[str, Callable[[Path], None]] = {}
     if "ply" in options.formats:
-        write_ply(path_of("ply"), triangles, frame)
+        files["ply"] = lambda path: write_ply(path, triangles, frame)
     if "glb" in options.formats:
-        write_glb(path_of("glb"), triangles, frame)
+        files["glb"] = lambda path: write_glb(path, triangles, frame)
     if "html" in options.formats:
         parts = {"soup": triangles}
         if options.target is not None:
             parts["ground truth"] = mesh_triangles(find_mesh(options.target).framed(frame))
-        write_html(path_of("html"), parts, file.stem, _viewpoint(options, triangles, settings))
+        viewpoint = _viewpoint(options, triangles, settings)
+        files["html"] = lambda path: write_html(path, parts, file.stem, viewpoint)
     if "png" in options.formats:
         if options.scene is None:
             rows = [orbit_renders(soup, options.views, options.size)]
         else:
             rows = scene_renders(soup, load_scene(options.scene, **settings), frame)
-        for index, image in enumerate(rows[-1]):
-            write_png(path_of(f"view{index}.png"), image)
-        write_png(path_of("views.png"), sheet(rows))
-    return written
+        images = {f"view{index}.png": image for index, image in enumerate(rows[-1])}
+        for name, image in (images | {"views.png": sheet(rows)}).items():
+            files[name] = partial(write_png, image=image)
+    for kind, write in files.items():
+        name = f"{file.stem}.{kind}"
+        with renewed_folder(options.out, f"export of {name}", [name]) as new:
+            write(new / name)
+    return [options.out / f"{file.stem}.{kind}" for kind in files]
 
 
 def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint:

@@ -35,12 +35,14 @@ def read_obj(data: bytes) -> Triangles:
     known: list[
         int
     ] = []  # how many points the file has when it names a face: negative indices count from there
-    for number, line in enumerate(decoded(data).replace("\\\n", " ").split("\n"), start=1):
-        keyword, *words = (line.partition("#")[0] if "#" in line else line).split() or ("",)
+    text = re.sub(r"#[^\n]*", "", decoded(data))  # before lines are joined: it may end in a backslash
+    for number, line in enumerate(text.replace("\\\n", " ").split("\n"), start=1):
+        keyword, *words = line.split() or ("",)
+        keyword = keyword.lower()
         if keyword == "v":
             if len(words) < 3:
                 raise ValueError(f"cut off at line {number}, a vertex with {len(words)} of 3 coordinates")
-            points.append([float(word) for word in words[:3]])
+            points.append(_reals(words[:3]))
         elif keyword in ("f", "fo"):
             if len(words) < 3:
                 raise ValueError(f"cut off at line {number}, a face with {len(words)} corners")
@@ -85,7 +87,7 @@ def read_off(data: bytes) -> Triangles:
         raise ValueError(f"{cut}it declares {count} vertices and {faces} faces, and has {len(rows)} lines")
     if any(len(row) < 3 for row in rows[:count]):
         raise ValueError("a vertex has fewer than three coordinates")
-    points = np.array([[float(word) for word in row[:3]] for row in rows[:count]]).reshape(-1, 3)
+    points = np.array([_reals(row[:3]) for row in rows[:count]]).reshape(-1, 3)
     sizes = _whole_numbers(row[0] for row in rows[count:])
     if any(len(row) <= size for row, size in zip(rows[count:], sizes.tolist(), strict=True)):
         raise ValueError("cut off: a face has fewer corners than it declares")
@@ -100,16 +102,16 @@ def read_stl(data: bytes) -> Triangles:
     named = data.lstrip(b"\xef\xbb\xbf \t\r\n")[:5].lower() == b"solid"
     if len(data) != 84 + 50 * count and named and (b"facet" in data.lower() or len(data) < 84):
         text = decoded(data)
-        facets, ends, whole_file = (
+        facets, ends, solids, whole_solids = (
             len(re.findall(rf"^\s*{word}\b", text, re.MULTILINE | re.IGNORECASE))
-            for word in ("facet", "endfacet", "endsolid")
+            for word in ("facet", "endfacet", "solid", "endsolid")
         )
         vertices = re.findall(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", text, re.MULTILINE | re.IGNORECASE)
-        if not whole_file or ends != facets:
+        if whole_solids < solids or ends != facets:
             raise ValueError("cut off before its 'endsolid'")
         if len(vertices) != 3 * facets:
             raise ValueError(f"it has {facets} facets with {len(vertices)} vertices, not three for each")
-        points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+        points = np.array([_reals(each) for each in vertices]).reshape(-1, 3)
     else:
         if len(data) < 84 + 50 * count:
             held = max(0, len(data) - 84) // 50
@@ -169,7 +171,7 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     if min((count for _, count, _ in elements), default=0) < 0:
         raise ValueError("it declares a negative number of elements")
     if form == "ascii":
-        stream: _Words | _Bytes = _Words(np.array(decoded(data[header.end() :]).split(), dtype=np.float64))
+        stream: _Words | _Bytes = _Words(np.array(_reals(decoded(data[header.end() :]).split())))
     elif form in ("binary_little_endian", "binary_big_endian"):
         stream = _Bytes(data[header.end() :], "<" if form == "binary_little_endian" else ">")
     else:
@@ -275,10 +277,17 @@ def _between(run: np.ndarray) -> list[np.ndarray]:
     return [each[each >= 0] for each in np.split(run, np.flatnonzero(run < 0))]
 
 
+def _reals(words: Sequence[str]) -> list[float]:
+    """Return the words as numbers; `1_0`, which Python reads as 10, is none."""
+    if "_" in "".join(words):
+        raise ValueError(f"{next(word for word in words if '_' in word)!r} is no number")
+    return [float(word) for word in words]
+
+
 def _whole_numbers(words: Iterable[str]) -> np.ndarray:
     words = list(words)
     try:
-        numbers = [int(word) for word in words]
+        numbers = [whole(word) for word in words] if "_" in "".join(words) else [int(word) for word in words]
     except ValueError:
         numbers = [whole(word) for word in words]
     return np.array(numbers, dtype=np.int64)
@@ -348,29 +357,29 @@ def _ears(corners: np.ndarray) -> np.ndarray:
     flat = np.delete(corners - corners[0], axis, axis=1)  # seen along the axis that shows most of the area
     flat[:, 1] *= np.sign(normal[axis]) * (-1.0 if axis == 1 else 1.0)
     area = abs(float(normal[axis]))
-    least, left, ears = FLAT * area, list(range(len(flat))), []
+    least, left, ears, last = FLAT * area, np.arange(len(flat)), [], 0
 
     def turn(a, b, c):
         return (flat[b, 0] - flat[a, 0]) * (flat[c, 1] - flat[a, 1]) - (flat[b, 1] - flat[a, 1]) * (
             flat[c, 0] - flat[a, 0]
         )
 
-    def is_ear(i: int, lowest: float) -> bool:
-        a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
-        if turn(a, b, c) <= lowest:
-            return False
-        rest = np.array([each for each in left if not (flat[each] == flat[[a, b, c]]).all(axis=1).any()], int)
-        return not (
-            rest.size and ((turn(a, b, rest) >= 0) & (turn(b, c, rest) >= 0) & (turn(c, a, rest) >= 0)).any()
-        )
+    def is_ear(a: int, b: int, c: int) -> bool:
+        inside = (turn(a, b, left) >= 0) & (turn(b, c, left) >= 0) & (turn(c, a, left) >= 0)
+        found = flat[left[inside]]
+        return bool((found[:, None] == flat[[a, b, c]]).all(axis=2).any(axis=1).all())
 
     while len(left) > 2:
+        before, after = np.roll(left, 1), np.roll(left, -1)
+        turns = turn(before, left, after)
         # Flat ears last: their corner lies on a neighbour's edge and must stay a corner.
-        found = next((i for low in (least, -least) for i in range(len(left)) if is_ear(i, low)), None)
+        order = [np.flatnonzero(turns > least), np.flatnonzero((turns > -least) & (turns <= least))]
+        tried = np.concatenate([np.roll(each, -int(np.searchsorted(each, last))) for each in order])
+        found = next((i for i in tried.tolist() if is_ear(before[i], left[i], after[i])), None)
         if found is None:
             break
-        ears.append((left[found - 1], left[found], left[(found + 1) % len(left)]))
-        del left[found]
+        ears.append((int(before[found]), int(left[found]), int(after[found])))
+        left, last = np.delete(left, found), found
     if len(left) > 2 or abs(sum(turn(*ear) for ear in ears) - area) > 1e-6 * area:
         spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
         if spread[2 if len(corners) > 2 else 0] > BENT * spread[0]:

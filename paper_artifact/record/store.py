@@ -187,7 +187,8 @@ def read_record(path: Path | str) -> dict:
     expected = record_path(config, version=version).name
     if path.name != expected:
         raise InputError(
-            f"the record {path} is misnamed: its config belongs to {expected}; rename it back or run again"
+            f"the record {path} is misnamed: its config belongs to {expected}; rename it back, or "
+            "delete it and run again"
         )
     try:
         digest = _hash({key: value for key, value in record.items() if key != "digest"})

@@ -128,12 +128,24 @@ def load_soup(path: Path | str) -> Soup:
 
 
 def load_frame(path: Path | str) -> Frame:
-    """Return the frame of the coordinates in a soup's file that `load_soup` can read."""
+    """Return the frame of the coordinates in a soup's file that `load_soup` can read.
+
+    Raises InputError for one that no run writes: `offset` and `exponent` are three finite numbers and a whole
+    one that keep the soup finite.
+    """
     data = load_npz(path)
-    if "offset" not in data:
+    if not {"offset", "exponent"} & data.keys():
         return SAME
-    x, y, z = (float(value) for value in data["offset"])
-    return Frame((x, y, z), int(data["exponent"]))
+    try:
+        x, y, z = (float(value) for value in data["offset"])
+        frame = Frame((x, y, z), int(data["exponent"]))
+        with np.errstate(over="ignore"):
+            if np.isfinite(frame.outward(data["vertices"])).all():
+                return frame
+        reason = "it takes the soup to where numbers are not finite"
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        reason = str(error)
+    raise InputError(f"the frame (offset, exponent) of the soup {path} is damaged: {reason}; train it again")
 
 
 def reframed(soup: Soup, old: Frame, new: Frame) -> Soup:

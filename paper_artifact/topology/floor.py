@@ -103,7 +103,7 @@ def check_cloud(cloud: np.ndarray, frame: Frame) -> np.ndarray:
             "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
         )
     frame.require_density(len(cloud))
-    if _height(cloud - cloud.mean(axis=0)) <= FLAT:
+    if _height((cloud - cloud.mean(axis=0)) / frame.diagonal) <= FLAT:
         raise InputError(
             "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
         )

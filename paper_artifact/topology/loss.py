@@ -184,7 +184,8 @@ class BettiLoss(PlannedLoss):
     ) -> None:
         if preset not in PRESETS:
             raise InputError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
-        super().__init__(LossConfig("betti"), {"betti": betti, **PRESETS[preset], **settings}, seed)
+        stated = {"betti": () if betti is None else betti}  # None is refused, as any other than three numbers
+        super().__init__(LossConfig("betti"), stated | PRESETS[preset] | settings, seed)
         if self.config.aim == "cloud":
             raise InputError("aim='cloud' needs a scene's SfM cloud (condition T3); choose another aim")
         self.betti = self.config.betti or ()
@@ -195,7 +196,8 @@ class BettiLoss(PlannedLoss):
         """Return the statement, in the unit of the first points (M,3)."""
         if self.statement is None:
             extent = np.ptp(points, axis=0) if points.ndim == 2 and len(points) else np.zeros(3)
-            diagonal = float(norm(extent))
+            _, exponent = math.frexp(float(extent.max()))  # so that no square is too large or too small
+            diagonal = math.ldexp(float(norm(np.ldexp(extent, -exponent))), exponent)
             if not np.isfinite(diagonal) or diagonal <= 0:  # the cloud's own check says what is wrong
                 return Statement(self.betti, 1.0)
             self.statement = Statement(self.betti, diagonal)
