@@ -111,36 +111,33 @@ def execute(
 
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
     error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call
-    inside `own_kernel`. Raises InputError for an unknown profile or a folder that cannot be written.
+    inside `own_kernel`. Raises InputError for an unknown profile, a folder that cannot be written, and, in
+    another folder than EXECUTED, a notebook of this name that no execution wrote.
     """
     import papermill
     from papermill.exceptions import PapermillExecutionError
 
     if profile not in PROFILES:
         raise InputError(f"the profile '{profile}' is unknown; use one of {', '.join(PROFILES)}")
-    try:
-        executed.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot make the folder {executed}: {error.strerror}; choose one that you can write to"
-        ) from error
+    guarded = () if executed == EXECUTED else (path.name,)
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, failure = time.monotonic(), ""
     try:
-        with figures_of(path, figures):
-            notebook = papermill.execute_notebook(
-                path,
-                executed / path.name,
-                parameters={"profile": profile},
-                cwd=path.parent,
-                kernel_name=KERNEL,
-                language="python",
-                progress_bar=bar,
-            )
-        if refresh:
+        with figures_of(path, figures), renewed_folder(executed, path.name, guarded) as new:
+            try:
+                notebook = papermill.execute_notebook(
+                    path,
+                    new / path.name,
+                    parameters={"profile": profile},
+                    cwd=path.parent,
+                    kernel_name=KERNEL,
+                    language="python",
+                    progress_bar=bar,
+                )
+            except PapermillExecutionError as caught:
+                failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
+        if refresh and not failure:
             write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
-    except PapermillExecutionError as caught:
-        failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
     except InputError:
         raise
     except Exception as caught:  # a dead kernel, a file that is no notebook: the others still run

@@ -33,7 +33,8 @@ def sample_surface(
     is the inverse of the cumulated area × weight at u[0]; with s = sqrt(u[1]) the barycentrics are (1 - s,
     s (1 - u[2]), s u[2]), uniform on the triangle (Osada et al. 2002, Shape Distributions, eq. 1).
 
-    Raises InputError for a negative count or when no area × weight is left to draw from.
+    Raises InputError for a negative count, one that memory does not hold, faces of other vertices, or when no
+    area × weight is left to draw from.
     """
     if count < 0:
         raise InputError(f"the number of samples must not be negative, got {count}")
@@ -41,6 +42,11 @@ def sample_surface(
         require_memory(BYTES * count, f"{count} samples", "give fewer samples")
     vertices = np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise InputError(
+            f"a face refers to vertex {faces.min() if faces.min() < 0 else faces.max()} of {len(vertices)}; "
+            "faces count vertices from 0"
+        )
     mass = face_areas(vertices, faces)
     if weights is not None:
         mass = mass * np.asarray(weights, dtype=np.float64)

@@ -269,7 +269,7 @@ def test_python_without_docstrings_is_one_sentence(folder):
 def test_the_library_refuses_what_the_verbs_refuse():
     points, faces = np.eye(3), np.array([[0, 1, 2]])
     for wrong in (faces + 10**6, faces - 1):
-        with pytest.raises(InputError, match="mesh"):
+        with pytest.raises(InputError, match="refers to vertex"):
             build_from_mesh(points, wrong, 100)
     with pytest.raises(InputError, match="GiB of memory"):
         build_from_mesh(points, faces, 10**10)

@@ -109,9 +109,11 @@ def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "02_other.svg").write_text("another notebook's")
     with own_kernel():
-        outcome = execute(path, "recorded", executed=tmp_path, figures=folder, refresh=True, quiet=True)
+        outcome = execute(
+            path, "recorded", executed=tmp_path / "out", figures=folder, refresh=True, quiet=True
+        )
         written = (folder / "01_drawn_line.svg").read_bytes()
-        execute(path, "recorded", executed=tmp_path, figures=folder, quiet=True)
+        execute(path, "recorded", executed=tmp_path / "out", figures=folder, quiet=True)
     assert not outcome.error and b"<svg" in written
     assert sorted(each.name for each in folder.glob("*.svg")) == ["01_drawn_line.svg", "02_other.svg"]
     assert (folder / "01_drawn_line.svg").read_bytes() == written, "the same bytes in every run"
@@ -149,8 +151,12 @@ def test_bad_profile_and_unwritable_folder(tmp_path, capsys):
     with pytest.raises(InputError, match="profile 'quick' is unknown"):
         execute(path, "quick", executed=tmp_path / "out")
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot make the folder"):
+    with pytest.raises(InputError, match="cannot write"):
         execute(path, "recorded", executed=tmp_path / "file" / "out")
+    write_notebook(tmp_path / "mine" / path.name, "precious")
+    with pytest.raises(InputError, match="was not written by this command"):
+        execute(path, "recorded", executed=tmp_path / "mine")
+    assert "precious" in (tmp_path / "mine" / path.name).read_text()
 
 
 def test_cleaned_removes_what_changes(tmp_path):

@@ -89,6 +89,8 @@ def read_off(data: bytes) -> Triangles:
         raise ValueError("a vertex has fewer than three coordinates")
     points = np.array([_reals(row[:3]) for row in rows[:count]]).reshape(-1, 3)
     sizes = _whole_numbers(row[0] for row in rows[count:])
+    if (sizes < 0).any():
+        raise ValueError(f"a face has {sizes.min()} corners")
     if any(len(row) <= size for row, size in zip(rows[count:], sizes.tolist(), strict=True)):
         raise ValueError("cut off: a face has fewer corners than it declares")
     named = zip(rows[count:], sizes.tolist(), strict=True)
@@ -152,7 +154,8 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
 
     Raises ValueError for a damaged file.
     """
-    header = re.match(rb"(?:\xef\xbb\xbf)?\s*ply\s.*?\bend_header[ \t]*(\r\n|\n|\r)", data, re.DOTALL)
+    end = rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)"
+    header = re.match(rb"(?:\xef\xbb\xbf)?\s*ply\s.*?" + end, data, re.DOTALL)
     if header is None:
         raise ValueError("it has no PLY header")
     lines = [line.split() for line in decoded(header[0]).split("\n")]

@@ -160,9 +160,7 @@ def holds(folder: Path, key: str) -> bool:
     try:
         held = load_json(folder / DESCRIPTION)["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{folder} exists and is no scene of this package; choose another folder or remove it"
-        ) from error
+        raise InputError(f"{folder} exists and is no scene of this package; choose another folder") from error
     if held != key:
         raise InputError(
             f"{folder} holds a scene of other images, or of another mesh or configuration; "

@@ -19,7 +19,6 @@ from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError
 from paper_artifact.files import load_json, write_json
-from paper_artifact.mesh import checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, significant
@@ -156,10 +155,9 @@ def build_from_mesh(
 
     The sample is uniform by area; D is the bounding-box diagonal of the vertices. The draw is a function of
     `seed` and equals the live soup's sampler with opacity 1. Further options: those of `build_bundle`. Raises
-    InputError as `build_bundle`, `sample_surface` and `checked_mesh` do.
+    InputError as `build_bundle` and `sample_surface` do.
     """
-    mesh = checked_mesh(vertices, faces, shape, welded=False)
-    vertices, faces = mesh.vertices, mesh.faces
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     diagonal = float(norm(vertices.max(axis=0) - vertices.min(axis=0)))
     points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
     return build_bundle(
