@@ -179,6 +179,13 @@ def test_words_and_targets(photographs, tmp_path, capsys):
     assert "the target's diagonal is 9" in scale or "times the SfM cloud's" in scale
 
 
+def test_a_photograph_that_shows_nothing_is_named(own, capsys):
+    name = load_scene(own).names[3]
+    Image.new("RGB", (44, 44), "white").save(own / "images" / name)
+    load_scene(own)
+    assert f"1 of 11 photographs are of a single colour and show nothing: {name}" in capsys.readouterr().err
+
+
 def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path, monkeypatch, capsys):
     words = ["sweep", "--scene", str(photographs), "--quiet", *SMALL, f"--results={tmp_path}"]
     words += ["--condition=C0", "--condition=T1", "--betti=1,0,1", "--seed=0", "--seed=1"]

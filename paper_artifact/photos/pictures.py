@@ -20,7 +20,7 @@ from scipy.ndimage import laplace
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.scene.images import has_transparency, opened, sizes_told
+from paper_artifact.scene.images import has_transparency, is_blank, opened, sizes_told
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 FRAMES = 60  # of a video that are taken about, unless it is said how many
@@ -29,7 +29,6 @@ LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 QUALITY = 95  # of JPEG files written between photograph and scene
 LEAST_KEPT = 0.5  # part of the most frequent size's pixels that the common size must have, or it is told
-BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
 LENS_TAGS = (
     ExifTags.Base.FocalLength,
     ExifTags.Base.FocalLengthIn35mmFilm,
@@ -192,7 +191,7 @@ def prepared(
             ready.masked.add(target.name)
         picture = picture.convert("RGB")
         picture.save(target, quality=QUALITY, subsampling=0, exif=exif)
-        if np.ptp(np.asarray(picture), axis=(0, 1)).max() < BLANK:
+        if is_blank(np.asarray(picture).transpose(2, 0, 1)):
             ready.blank.append(target.name)
         focal = str(exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLength))
         cameras[(picture.size, exif.get(ExifTags.Base.Model), focal)].append(target.name)

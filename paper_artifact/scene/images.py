@@ -17,6 +17,7 @@ from paper_artifact.files import inside
 
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
+BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
 MOST_PIXELS = 2**27  # of one image: 134 million, more than any camera gives
 
 
@@ -71,6 +72,11 @@ def composited(pixels: Pixels, background: np.ndarray, downscale: float = 1.0) -
         height, width = smaller(colours.shape[:2], downscale)
         colours = np.asarray(Image.fromarray(colours).resize((width, height), Image.Resampling.BOX))
     return np.ascontiguousarray(colours.transpose(2, 0, 1))
+
+
+def is_blank(picture: np.ndarray) -> bool:
+    """Return whether a picture (3,H,W) uint8 is of a single colour."""
+    return bool(np.ptp(picture, axis=(1, 2)).max() < BLANK)
 
 
 def smaller(size: tuple[int, ...], downscale: float) -> tuple[int, int]:

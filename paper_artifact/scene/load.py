@@ -28,7 +28,15 @@ from paper_artifact.scene.folder import (
     scene_root,
 )
 from paper_artifact.scene.ground_truth import background_colour
-from paper_artifact.scene.images import Pixels, composited, mask_of, read_file, read_pixels, sizes_told
+from paper_artifact.scene.images import (
+    Pixels,
+    composited,
+    is_blank,
+    mask_of,
+    read_file,
+    read_pixels,
+    sizes_told,
+)
 
 MEAN = "mean"  # as a background: the mean colour of the photographs
 EVERY = 8  # of that many views one is held out, as in Mip-NeRF 360 and DiffSoup
@@ -135,6 +143,9 @@ def load_scene(
             f"{path} mixes images of several sizes, {sizes_told(sizes)}, and training takes one: give the "
             "photographs to `python -m paper_artifact photos`, which brings them to one"
         )
+    blank = [name for name, image in zip(names, images, strict=True) if is_blank(image)]
+    if blank:
+        _tell(path, blank, len(names), "photographs are of a single colour and show nothing")
     return Scene(
         path=path,
         names=names,
@@ -167,14 +178,15 @@ def _views(path: Path, model: Model, complete: bool) -> tuple[list[int], list[Pa
             f"{len(order)} are missing); copy the images folder too"
         )
     if missing:
-        more = " …" if len(missing) > 4 else ""
-        tqdm.write(
-            f"{path}: {len(missing)} of {len(order)} views are left out, their images are not there: "
-            f"{', '.join(missing[:4])}{more}",
-            file=sys.stderr,
-        )
+        _tell(path, missing, len(order), "views are left out, their images are not there")
     kept = [(image, file) for image, file in zip(order, files, strict=True) if file is not None]
     return [image for image, _ in kept], [file for _, file in kept]
+
+
+def _tell(path: Path, found: list[str], count: int, what: str) -> None:
+    """Say on stderr what holds for some of the views, which are named."""
+    names = ", ".join(found[:4]) + " …" * (len(found) > 4)
+    tqdm.write(f"{path}: {len(found)} of {count} {what}: {names}", file=sys.stderr)
 
 
 def _mean_colour(pictures: Iterable[Pixels]) -> np.ndarray:
