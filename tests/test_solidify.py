@@ -26,6 +26,7 @@ from paper_artifact.export.solid import (
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.ingest.distance import nearest_on
 from paper_artifact.ingest.solidify import Rung, check_ladder, plateau, wanted_of
+from paper_artifact.ingest.surgery import without_holes
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
@@ -85,11 +86,59 @@ def test_a_damaged_mesh_becomes_one_closed_torus(far):
     assert distances_to(placed(solid.mesh, solid.frame), whole, samples=4000)["hausdorff95"] < 0.02
 
 
-def test_a_thin_wall_has_the_numbers_but_no_inside():
-    solid = solidify_mesh(
-        checked_mesh(*shapes.bowl(), "bowl"), (1, 0, 1), (0.02, 0.03), 2.0, lambda rung: None
-    )
+def solid_of(vertices, faces, betti, *offsets) -> SoupSolid:
+    return solidify_mesh(checked_mesh(vertices, faces, "mesh"), betti, offsets, 2.0, lambda rung: None)
+
+
+def test_a_sheet_has_the_numbers_but_no_inside():
+    solid = solid_of(*shapes.bowl(), (1, 0, 1), 0.02, 0.03)
     assert solid.mesh is None and solid.hollow == solid.rungs
+    assert len(solid.holes) == 1 and "1 openings up to 31 % of D across are too wide" in offset_table(solid)
+
+
+def test_a_thin_wall_is_a_body_without_an_inside():
+    """A tube whose wall is 1.4 ε thick; one sheet of it is none."""
+    tube = trimesh.creation.annulus(0.45, 0.5, 1.0)
+    solid = solid_of(tube.vertices, tube.faces, (1, 2, 1), 0.02, 0.025)
+    assert solid.rung is solid.rungs[0] and len(solid.rungs) == 2 and solid.certificate.betti == (1, 2, 1)
+    assert solid.rung.inside == 0 and solid.rung.backed > 0.9 and "by its thin walls" in offset_table(solid)
+    made = trimesh.Trimesh(solid.mesh.vertices, solid.mesh.faces, process=False)
+    assert 1 < made.volume / tube.volume < 1.3
+    sheet = tube.faces[np.linalg.norm(tube.vertices[tube.faces][:, :, :2], axis=2).min(axis=1) > 0.48]
+    solid = solid_of(tube.vertices, sheet, (1, 2, 1), 0.02)
+    assert solid.mesh is None and solid.hollow == solid.rungs and solid.rungs[0].backed < 0.1
+
+
+@pytest.mark.parametrize("body", [True, False])
+def test_holes_of_a_scan_are_closed_where_a_body_is_wanted(body):
+    """A sphere with two holes that share a corner, and one apart; as a sheet it keeps them."""
+    sphere = trimesh.creation.icosphere(4)
+    rings = [set(each) for each in sphere.vertex_neighbors]
+    other = next(v for v in range(len(rings)) if len(rings[v] & rings[0]) == 1 and v not in rings[0])
+    gone = np.isin(sphere.faces, [0, other]).any(axis=1)
+    gone |= sphere.face_normals @ -sphere.vertices[0] > 0.95
+    solid = solid_of(sphere.vertices, sphere.faces[~gone], (1, 0, 1) if body else (1, 2, 0), 0.008)
+    if body:
+        assert solid.certificate.betti == (1, 0, 1) and solid.rung.inside > 0.8
+        assert len(solid.holes) == 3 and "3 holes up to 20 % of D across were" in offset_table(solid)
+    else:
+        assert solid.holes == () and solid.certificate.betti == (1, 4, 1)
+
+
+def test_discs_close_every_hole_also_one_of_many_corners():
+    circle = np.linspace(0, 2 * np.pi, 1001)[:-1]
+    rims = [np.stack([np.cos(circle), np.sin(circle), np.full(1000, z)], axis=1) for z in (0.0, 3.0)]
+    at, after = np.arange(1000), np.roll(np.arange(1000), -1)
+    sides = np.concatenate(
+        [np.stack([at, after, 1000 + at], 1), np.stack([1000 + after, 1000 + at, after], 1)]
+    )
+    whole, across = without_holes(Mesh(np.concatenate(rims), sides, "tube"), 2.5)
+    assert certify_mesh(whole).betti == (1, 0, 1) and np.allclose(across, 2)
+    assert abs(whole.vertices[whole.faces].mean(axis=1)[len(sides) :, 2] - 1.5).min() > 1.49
+    kept, across = without_holes(Mesh(np.concatenate(rims), sides, "tube"), 1.9)
+    assert len(kept.faces) == len(sides) and len(across) == 2
+    loose = Mesh(np.eye(3), np.array([[0, 1, 2]]), "triangle")
+    assert without_holes(loose, 9.0)[1] == []
 
 
 def test_colours_are_the_soups():
@@ -133,7 +182,7 @@ def test_a_bowl_is_no_ball_though_both_shells_have_the_same_betti_numbers():
 
 def test_the_plateau_is_the_widest_in_log_offset_with_an_inside():
     def rung(offset: float, genus: int, inside: float) -> Rung:
-        return Rung(offset, (1, 2 * genus, 1), genus, inside, 0, 0, (1, 1, 1))
+        return Rung(offset, (1, 2 * genus, 1), genus, inside, 0.0, 0, 0, (1, 1, 1))
 
     ladder = [
         rung(0.001, 0, 0.0),
@@ -250,7 +299,7 @@ def test_the_verb(tmp_path: Path, capsys):
     words = ["solidify", str(tmp_path / "bowl.obj"), "--out", str(out), "--quiet", "--offsets", "0.03"]
     assert cli.main([*words, "--betti", "1,0,1"]) == 1
     printed = capsys.readouterr().out
-    assert "gives 1 component, 0 loops, 1 void, but what it encloses is 0.00 of its volume" in printed
+    assert "gives 1 component, 0 loops, 1 void, but encloses 0.00 of its volume" in printed
     assert "--betti 1,0,0" in printed and not out.exists()
     assert cli.main([*words, "--betti", "1,0,0"]) == 0 and certify_mesh(load_mesh(out)).passed
 
@@ -274,7 +323,7 @@ def test_the_verb_refuses_before_it_works(tmp_path: Path, capsys):
 def test_what_to_try_next_lies_between_too_many_handles_and_too_few():
     def solid(*genera):
         rungs = [
-            Rung(0.02 + 0.01 * place, (1, 2 * genus, 1), genus, 0.4, 0, 0, (1, 1, 1))
+            Rung(0.02 + 0.01 * place, (1, 2 * genus, 1), genus, 0.4, 0.0, 0, 0, (1, 1, 1))
             for place, genus in enumerate(genera)
         ]
         return SoupSolid(tuple(rungs), wanted_of((1, 2, 1)), None, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, 
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import (
+    WIDEST,
     SoupSolid,
     check_format,
     distances_to,
@@ -26,7 +28,16 @@ from paper_artifact.files import check_writable, write_text
 from paper_artifact.frame import Frame
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest import solidify as shells
-from paper_artifact.ingest.solidify import CELLS, INSIDE, OFFSETS, Rung, check_ladder, wanted_of, write_shell
+from paper_artifact.ingest.solidify import (
+    BACKED,
+    CELLS,
+    INSIDE,
+    OFFSETS,
+    Rung,
+    check_ladder,
+    wanted_of,
+    write_shell,
+)
 from paper_artifact.ingest.solidify import check_format as check_shell_format
 from paper_artifact.mesh import betti_text
 from paper_artifact.scene.shapes import find_mesh
@@ -217,12 +228,13 @@ def offset_table(solid: SoupSolid) -> str:
             *rung.betti,
             rung.genus,
             f"{rung.inside:.2f}",
+            f"{rung.backed:.2f}",
             rung.triangles,
             "← taken" if rung is solid.rung else "",
         )
         for rung in solid.rungs
     ]
-    heads = ("ε / D", "components", "loops", "voids", "genus", "inside", "triangles", "")
+    heads = ("ε / D", "components", "loops", "voids", "genus", "inside", "walls", "triangles", "")
     kind = "a body" if solid.wanted.body else "a thick shell around an open surface"
     text = f"{betti_text(solid.wanted.betti)}, {kind}"
     if solid.rung is None and solid.lasting is not None:
@@ -235,17 +247,20 @@ def offset_table(solid: SoupSolid) -> str:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
         said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train further"
         if solid.hollow:
-            most = max(solid.hollow, key=lambda rung: rung.inside)
+            most = max(solid.hollow, key=lambda rung: rung.backed)
             b0, b1, _ = solid.wanted.betti
             said = (
-                f"ε = {most.offset:g} D gives {betti_text(solid.wanted.betti)}, but what it encloses is "
-                f"{most.inside:.2f} of its volume, and a body must enclose {INSIDE:g}: the walls are thin, "
-                "or have a gap wider than 2ε. No mesh is written; "
-                + ("try smaller offsets, which enclose more" if most.inside > 0 else f"try --offsets {tried}")
-                + f", or take the same surface as a thick shell: --betti {b0},{b1 // 2},0"
+                f"ε = {most.offset:g} D gives {betti_text(solid.wanted.betti)}, but encloses "
+                f"{most.inside:.2f} of its volume (a body {INSIDE:g}), and {most.backed:.2f} of its surface "
+                f"has a wall thicker than ε behind (a body {BACKED:g}): it goes around an open sheet, or in "
+                "through a gap wider than 2ε, or its walls are thinner than ε. No mesh is written; for a gap "
+                f"try --offsets {tried}, for thin walls {most.offset / 4:.3g},{most.offset / 2:.3g}, or take "
+                f"the same surface as a thick shell: --betti {b0},{b1 // 2},0"
             )
     elif solid.lasting is None:
-        said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}"
+        said = f"ε = {solid.rung.offset:g} D is the smallest that gives {text}" + (
+            "" if solid.rung.sure(solid.wanted) else ", by its thin walls"
+        )
     elif len(solid.rungs) == 1:
         said = f"no Betti numbers were stated and one offset was tried: {text}, says nothing of the subject"
     else:
@@ -254,7 +269,18 @@ def offset_table(solid: SoupSolid) -> str:
             f"from ε = {solid.rung.offset:g} D on. Its topology is a guess: good to look at and to measure "
             "roughly; state --betti where holes and handles matter"
         )
-    return f"{to_string(heads, rows)}\n{said}"
+    return f"{to_string(heads, rows)}\n{holes_text(solid.holes)}{said}"
+
+
+def holes_text(holes: Sequence[float]) -> str:
+    """Return what became of a mesh's holes, each so far across / diagonal, the widest first; ends with a
+    space, or is empty where there are none."""
+    wide, text = sum(each > WIDEST for each in holes), ""
+    if wide < len(holes):
+        text = f"{len(holes) - wide} holes up to {100 * holes[wide]:.0f} % of D across were closed by discs. "
+    if wide:
+        text += f"{wide} openings up to {100 * holes[0]:.0f} % of D across are too wide for that. "
+    return text
 
 
 def _others(solid: SoupSolid) -> list[float]:

@@ -19,14 +19,17 @@ from paper_artifact.ingest.crossings import retract
 from paper_artifact.ingest.solidify import (
     CELLS,
     OFFSETS,
+    OuterSurface,
     Rung,
     Wanted,
+    check_ladder,
     climb,
+    outer_surface,
     plateau,
-    shells,
     wanted_of,
     write_certified,
 )
+from paper_artifact.ingest.surgery import without_holes
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -34,6 +37,7 @@ from paper_artifact.soup.state import Soup
 
 FORMATS = (".ply", ".glb")
 GREY = 0.7  # sRGB of a solid of a mesh
+WIDEST = 1 / 4  # of the diagonal; a wider hole of a mesh is taken for an opening, and stays
 LASTING = 1 / 3  # share of the ladder that Betti numbers must last over, unless they were stated
 SAMPLES = 20_000  # per surface, as an evaluation has
 
@@ -55,10 +59,11 @@ class SoupSolid:
     crossings: int | None = None
     certificate: Certificate | None = None  # of `mesh`
     frame: Frame = SAME  # of the soup's coordinates; what is written and `to_json` have the user's
+    holes: tuple[float, ...] = ()  # of a mesh, how far across / diagonal; up to WIDEST were closed
 
     @property
     def hollow(self) -> tuple[Rung, ...]:
-        """The rungs with the wanted Betti numbers that enclose too little of their volume to be a body."""
+        """The rungs with the wanted Betti numbers that have neither an inside nor walls."""
         return tuple(
             rung for rung in self.rungs if rung.betti == self.wanted.betti and not rung.meets(self.wanted)
         )
@@ -79,6 +84,7 @@ class SoupSolid:
             "body": self.wanted.body,
             "stated": self.lasting is None,
             "diagonal": math.ldexp(self.diagonal, self.frame.exponent),
+            "holes": list(self.holes),
             "offsets": [rung.to_json() for rung in self.rungs],
             "solid": found or None,
         }
@@ -104,8 +110,10 @@ def solidify_soup(
     """Return the SoupSolid of a trained soup.
 
     betti: of the surface, see `wanted_of`; None takes the plateau, if it lasts over a third of the ladder.
-    offsets: fractions of the opaque soup's diagonal; cells: grid cells per offset; progress, enough: see
-    `climb`; frame: of the soup's coordinates.
+    offsets: fractions of the opaque soup's diagonal; cells: grid cells per offset. Where betti is stated the
+    smallest offset is tried first and the first that meets it is the last. progress is called with each rung;
+    with `enough`, which is called with the rungs so far, the largest is tried first, until it is true. frame:
+    of the soup's coordinates.
     Raises InputError for what cannot be wanted, bad offsets, and as `opaque_mesh` does.
     """
     shown = soup_triangles(soup).visible()
@@ -125,10 +133,13 @@ def solidify_mesh(
 
     The arguments are those of `solidify_soup`, which it raises as.
     """
-    frame = frame_for(mesh.centre, mesh.radius)
+    frame, across = frame_for(mesh.centre, mesh.radius), list[float]()
     raw = mesh.framed(frame)
-    colours = np.full((len(mesh.faces), 3, 3), GREY, dtype=np.float32)
-    return _solid_of(raw, colours, betti, offsets, cells, mesh.name, progress, None, frame)
+    if betti is None or wanted_of(betti).body:
+        raw, across = without_holes(raw, WIDEST * raw.diagonal)
+    colours = np.full((len(raw.faces), 3, 3), GREY, dtype=np.float32)
+    solid = _solid_of(raw, colours, betti, offsets, cells, mesh.name, progress, None, frame)
+    return replace(solid, holes=tuple(each / raw.diagonal for each in across))
 
 
 def _solid_of(
@@ -144,17 +155,31 @@ def _solid_of(
 ) -> SoupSolid:
     """Return the SoupSolid of a raw mesh (F triangles) with the colours (F,3,3) of its corners."""
     wanted = None if betti is None else wanted_of(betti)
-    rungs = climb(raw, offsets, cells, progress, enough)
+    ladder, lasting = check_ladder(offsets, cells), None
+    rungs: list[Rung] = []
+    kept: dict[float, OuterSurface] = {}  # the first that meets it, by its offset
+    for rung, surface in climb(raw, ladder if enough is None else ladder[::-1], cells):
+        rungs.append(rung)
+        if progress is not None:
+            progress(rung)
+        if wanted is not None and rung.meets(wanted):
+            kept = kept or {rung.offset: surface}
+        if enough(rungs) if enough is not None else kept and wanted is not None and rung.sure(wanted):
+            break
+    rungs.sort(key=lambda rung: rung.offset)
     if wanted is None:
-        longest, share = plateau(rungs)
-        body = any(rung.meets(Wanted(longest, True)) for rung in rungs)
-        result = SoupSolid(rungs, Wanted(longest, body), share, raw.diagonal, frame=frame)
-        if share < LASTING:
-            return result
-    else:
-        result = SoupSolid(rungs, wanted, None, raw.diagonal, frame=frame)
-    for rung, shell in shells(raw, rungs, result.wanted, cells):
-        back = retract(shell, raw.vertices[raw.faces], rung.offset * raw.diagonal * (1 + 1 / cells))
+        longest, lasting = plateau(rungs)
+        wanted = Wanted(longest, any(rung.meets(Wanted(longest, True)) for rung in rungs))
+    result = SoupSolid(tuple(rungs), wanted, lasting, raw.diagonal, frame=frame)
+    if lasting is not None and lasting < LASTING:
+        return result
+    for rung in sorted(rungs, key=lambda rung: not rung.sure(wanted)):
+        if not rung.meets(wanted):
+            continue
+        epsilon = rung.offset * raw.diagonal
+        surface = kept.get(rung.offset) or outer_surface(raw, epsilon, epsilon / cells)
+        shell = surface.shell()
+        back = retract(shell, raw.vertices[raw.faces], epsilon + surface.cell)
         certificate = certify_mesh(back.mesh)
         if not (certificate.passed and certificate.betti == rung.betti):
             back = replace(back, mesh=shell, moved=np.zeros(len(shell.vertices)), crossings=None)

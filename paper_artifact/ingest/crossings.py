@@ -20,7 +20,7 @@ import numpy as np
 from paper_artifact.alpha.predicates import orient3d_filter
 from paper_artifact.certify.homology import edges_of
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.distance import Boxes, Nearest, file_boxes, items_near, nearest_on
+from paper_artifact.ingest.distance import Boxes, Nearest, file_boxes, have_items, items_near, nearest_on
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
 
@@ -52,15 +52,25 @@ def crossing_faces(
         changed = np.ones(len(points), dtype=bool)
     some_faces, some_edges = changed[faces].any(axis=1), changed[edges].any(axis=1)
     meets, met = np.zeros(len(edges), dtype=bool), np.zeros(len(faces), dtype=bool)
-    # Every edge against the faces that changed, then the edges that changed against the other faces.
-    for chosen_edges, chosen in ((slice(None), some_faces), (some_edges, ~some_faces)):
-        if chosen.any():
-            some = faces[chosen]
-            boxes = file_boxes(points[some], cell)
-            edge, face = _meetings(points, some, np.ascontiguousarray(edges[chosen_edges]), boxes)
-            meets[chosen_edges] |= edge
-            met[chosen] |= face
-    return met | meets[face_edges].any(axis=1) | _folded(points, faces, face_edges, len(edges))
+    # Every edge against the faces that changed, then the edges that changed against other faces near those.
+    chosen, chosen_edges = some_faces, np.ones(len(edges), dtype=bool)
+    while chosen.any():
+        some = faces[chosen]
+        boxes = file_boxes(points[some], cell)
+        edge, face = _meetings(points, some, edges[chosen_edges], boxes)
+        meets[chosen_edges] |= edge
+        met[chosen] |= face
+        if chosen is not some_faces:
+            break
+        corners = points[faces]
+        chosen = ~some_faces & have_items(boxes, corners.min(axis=1), corners.max(axis=1))
+        chosen_edges = some_edges
+    met |= meets[face_edges].any(axis=1)
+    shared = np.zeros(len(edges), dtype=bool)
+    shared[face_edges[some_faces]] = True
+    beside = shared[face_edges].any(axis=1)
+    met[beside] |= _folded(points, faces[beside], face_edges[beside], len(edges))
+    return met
 
 
 def _scaled(vertices: np.ndarray) -> np.ndarray:
@@ -71,7 +81,8 @@ def _scaled(vertices: np.ndarray) -> np.ndarray:
 
 
 def _cell(points: np.ndarray, edges: np.ndarray) -> float:
-    return 1.5 * float(np.median(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)))
+    some = edges[:: 1 + len(edges) // 100_000]
+    return 1.5 * float(np.median(np.linalg.norm(points[some[:, 0]] - points[some[:, 1]], axis=1)))
 
 
 def crossing_segments(vertices: np.ndarray, faces: np.ndarray, segments: np.ndarray) -> np.ndarray:
@@ -107,10 +118,13 @@ def _meetings(
         p, q = edges[edge, 0], edges[edge, 1]
         low, high = np.minimum(points[p], points[q]), np.maximum(points[p], points[q])
         for face in items_near(boxes, low, high):
+            far = meets[edge] and met[face]
+            for axis in range(3):
+                far |= boxes.low[face, axis] > high[axis] or boxes.high[face, axis] < low[axis]
+            if far:
+                continue
             a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
             if p in (a, b, c) or q in (a, b, c):
-                continue
-            if (boxes.low[face] > high).any() or (boxes.high[face] < low).any():
                 continue
             if not _apart(points, p, q, a, b, c):
                 meets[edge] = met[face] = True

@@ -7,13 +7,14 @@ rebuilds are bit-identical.
 The outer surface is closed, orientable and a manifold at every ε: b0 = b2, b1 = 2 × genus. What changes with
 ε is how often it is pierced: below half the width of a gap of the soup the surface passes through it to the
 soup's inner side. `climb` tries a ladder of offsets. One gap in a sphere leaves a double wall whose Betti
-numbers are those of the sphere, so a body must also have enclosed volume (`Rung.inside`).
+numbers are those of the sphere, so a body must also have enclosed volume (`Rung.inside`), or walls that are
+thicker than what ε makes of a single sheet (`Rung.backed`).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -40,6 +41,9 @@ NUDGE = 1e-3
 FAR = 0.02  # of a cell: the coarsest float32 spacing that the shell's points may have
 # A body's inside is at least this share of its volume; a tube of radius 2ε has .11, a double wall 0.
 INSIDE = 0.1
+# … or this share of its surface has a wall of its own behind it; of a double wall it is about 0.
+BACKED = 0.9
+DEEP = 3.0  # such a wall, from the surface inwards, in ε: the soup's own is thicker than ε; a sheet gives 2
 FORMATS = (".ply", ".obj", ".stl")
 
 Betti = tuple[int, int, int]
@@ -55,21 +59,15 @@ class OuterSurface:
     cell: float  # spacing of the grid, world units
     grid: tuple[int, int, int]  # points per axis
     pockets: int  # enclosed cavities that were filled
-    inside: float  # share of a body's volume that was such a cavity, least of all bodies; see `offsets`
+    inside: float  # share of a body's volume that was such a cavity, least of all bodies
+    backed: float  # share of a component's vertices with a wall of DEEP ε behind them, least of all
+    # (b0, b1, b2), counted on the understanding that the surface is closed and a manifold, as marching cubes
+    # makes it: components, Euler characteristic. `certify` counts without that.
+    betti: Betti
 
     def shell(self) -> Mesh:
         """Return the surface as a Mesh, welded exactly."""
         return checked_mesh(self.vertices, self.faces, self.name)
-
-    @property
-    def betti(self) -> tuple[int, int, int]:
-        """(b0, b1, b2), counted on the understanding that the surface is closed and a manifold, as marching
-        cubes makes it: components, Euler characteristic. `certify` counts without that.
-        """
-        sides = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]]])
-        count = len(np.unique(labels_of_graph(sides[:, 0], sides[:, 1], len(self.vertices))))
-        euler = len(self.vertices) - len(self.faces) // 2
-        return count, 2 * count - euler, count
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +150,12 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
     field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     near = field.values <= np.float32(epsilon)
     values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
-    points, triangles, _, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
+    filled = values < np.float32(epsilon)
+    points, triangles, inwards, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
+    label = labels_of_graph(triangles[:, [0, 1]].reshape(-1), triangles[:, [1, 2]].reshape(-1), len(points))
+    deep = np.rint(points + DEEP * epsilon / cell * inwards).astype(int)
+    walled = filled[tuple(np.clip(deep, 0, np.array(values.shape) - 1).T)]
+    count, euler = int(label.max()) + 1, len(points) - len(triangles) // 2
     rounded = (points.astype(np.float64) * cell + field.origin).astype(np.float32).astype(np.float64)
     return OuterSurface(
         vertices=rounded,
@@ -161,7 +164,9 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
         cell=float(cell),
         grid=values.shape,
         pockets=pockets,
-        inside=_least_inside(values < np.float32(epsilon), near),
+        inside=_least_inside(filled, near),
+        backed=float((np.bincount(label, walled) / np.bincount(label)).min()),
+        betti=(count, 2 * count - euler, count),
     )
 
 
@@ -207,13 +212,19 @@ class Rung:
     betti: Betti  # of the outer surface
     genus: int  # summed over its components
     inside: float  # share of a body's volume that the soup enclosed, least of all bodies; 0: open or double
+    backed: float  # share of a component's surface with a wall of its own behind it, least of all
     pockets: int  # enclosed cavities, filled
     triangles: int  # of the surface
     grid: tuple[int, int, int]  # points per axis
 
     def meets(self, wanted: Wanted) -> bool:
-        """Whether Betti numbers and, for a body, the inside are as wanted."""
-        return self.betti == wanted.betti and (self.inside >= INSIDE or not wanted.body)
+        """Whether Betti numbers and, for a body, the inside or the walls are as wanted."""
+        return self.betti == wanted.betti and (self.backed >= BACKED or self.sure(wanted))
+
+    def sure(self, wanted: Wanted) -> bool:
+        """Whether there is an inside, where a body is wanted. Walls alone may be those of a double sheet with
+        a gap: an offset that closes it is better."""
+        return self.inside >= INSIDE or not wanted.body
 
     def to_json(self) -> dict:
         """Return the fields as a JSON-able dict."""
@@ -258,29 +269,13 @@ def check_ladder(offsets: Iterable[float], cells: float = CELLS) -> tuple[float,
     return rungs
 
 
-def climb(
-    soup: Mesh,
-    offsets: Iterable[float] = OFFSETS,
-    cells: float = CELLS,
-    progress: Callable[[Rung], None] | None = None,
-    enough: Callable[[Sequence[Rung]], bool] | None = None,
-) -> tuple[Rung, ...]:
-    """Return a Rung per offset (fractions of the soup's diagonal, cells per offset), the smallest first.
-
-    progress is called with each rung, the coarsest first; enough with all so far, and no finer one is tried
-    once it is true. Raises InputError as `check_ladder` and
-    `outer_surface` do.
-    """
-    rungs = []
-    for offset in reversed(check_ladder(offsets, cells)):
+def climb(soup: Mesh, offsets: Iterable[float], cells: float) -> Iterator[tuple[Rung, OuterSurface]]:
+    """Yield a Rung and its surface per offset (fractions of the soup's diagonal, cells per offset), in their
+    order. Raises InputError as `outer_surface` does."""
+    for offset in offsets:
         surface = outer_surface(soup, offset * soup.diagonal, offset * soup.diagonal / cells)
-        betti, count = surface.betti, len(surface.faces)
-        rungs.append(Rung(offset, betti, betti[1] // 2, surface.inside, surface.pockets, count, surface.grid))
-        if progress is not None:
-            progress(rungs[-1])
-        if enough is not None and enough(rungs):
-            break
-    return tuple(reversed(rungs))
+        betti, count, walls = surface.betti, len(surface.faces), (surface.inside, surface.backed)
+        yield Rung(offset, betti, betti[1] // 2, *walls, surface.pockets, count, surface.grid), surface
 
 
 def plateau(rungs: Sequence[Rung]) -> tuple[Betti, float]:
@@ -296,16 +291,6 @@ def plateau(rungs: Sequence[Rung]) -> tuple[Betti, float]:
         if edges[i] - edges[start] > longest and (enclosed[i] or not any(enclosed)):
             best, longest = rung.betti, edges[i] - edges[start]
     return best, float(longest / (edges[-1] - edges[0])) if len(rungs) > 1 else 1.0
-
-
-def shells(
-    soup: Mesh, rungs: Sequence[Rung], wanted: Wanted, cells: float = CELLS
-) -> Iterator[tuple[Rung, Mesh]]:
-    """Yield the rungs that meet `wanted`, the smallest first, each with its outer surface, made again."""
-    for rung in rungs:
-        if rung.meets(wanted):
-            epsilon = rung.offset * soup.diagonal
-            yield rung, outer_surface(soup, epsilon, epsilon / cells).shell()
 
 
 def check_format(path: Path | str) -> None:

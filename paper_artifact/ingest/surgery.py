@@ -1,7 +1,9 @@
-"""Surgery on a closed surface: a handle is cut, a hole filled, along a loop that `ingest.handles` finds.
+"""Discs over rims: surgery along a loop that `ingest.handles` finds, and the holes of a scan.
 
-The triangles along the loop go, and each of the two rims is closed by the disc of least area that crosses
-nothing. Where there is none, the band is made wider, as rims away from a crease have discs more often.
+Surgery cuts a handle or fills a hole of a closed surface. The triangles along the loop go, and each of the
+two rims is closed by the disc of least area that crosses nothing. Where there is none, the band is made
+wider, as rims away from a crease have discs more often. The discs over a scan's holes are of least area too,
+but may cross what they like: they are for the solid of all that lies near them.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from paper_artifact.ingest.crossings import crossing_faces, crossing_segments
 from paper_artifact.ingest.handles import Loop
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh, checked_mesh, weld
+
+CORNERS = 300  # of a rim that its disc has at most; the others are joined to the two beside them
 
 ATTEMPTS = 5  # of surgery, with finer triangles or a wider band
 TRIES = 30  # of a disc, each without a diagonal of the last
@@ -137,3 +141,53 @@ def _disc(points: np.ndarray, taken: np.ndarray) -> np.ndarray:
         stack.append((i, k))
         stack.append((k, j))
     return triangles
+
+
+def without_holes(mesh: Mesh, widest: float) -> tuple[Mesh, list[float]]:
+    """Return a raw Mesh, welded, with a disc over every hole at most `widest` across (world units), and how
+    far all of its holes are across, the widest first.
+
+    A hole is a closed chain of edges with an odd number of triangles. A loose triangle is left as it is.
+    """
+    vertices, faces = weld(mesh.vertices, mesh.faces)
+    edges, sides = edges_of(faces, len(vertices))
+    odd = np.bincount(sides.reshape(-1), minlength=len(edges)) % 2 == 1
+    odd[sides[odd[sides].all(axis=1)]] = False
+    rims = _chains(edges[odd])
+    across = [float(np.ptp(vertices[rim], axis=0).max()) for rim in rims]
+    discs = [_rough_disc(vertices, rim) for rim, size in zip(rims, across, strict=True) if size <= widest]
+    return Mesh(vertices, np.concatenate([faces, *discs]), mesh.name), sorted(across, reverse=True)
+
+
+def _chains(edges: np.ndarray) -> list[np.ndarray]:
+    """Return edges (n,2), an even number at each vertex, as closed chains that pass a vertex once."""
+    beside: dict[int, set[int]] = {}
+    for a, b in edges.tolist():
+        beside.setdefault(a, set()).add(b)
+        beside.setdefault(b, set()).add(a)
+    chains = []
+    for start in beside:
+        path, place = [start], {start: 0}
+        while beside[path[-1]]:
+            step = beside[path[-1]].pop()
+            beside[step].discard(path[-1])
+            if step not in place:
+                place[step] = len(path)
+                path.append(step)
+                continue
+            chains.append(np.array(path[place[step] :]))
+            for left in path[place[step] + 1 :]:
+                del place[left]
+            del path[place[step] + 1 :]
+    return chains
+
+
+def _rough_disc(vertices: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """Return triangles (n,3) over a rim (n,): the disc of least area of at most CORNERS of its vertices, and
+    those that join the others to it."""
+    at = np.arange(len(rim))
+    corners = np.unique(np.rint(np.linspace(0, len(rim) - 1, min(len(rim), CORNERS))).astype(int))
+    disc = _disc(vertices[rim[corners]], np.zeros((len(corners), len(corners)), dtype=bool))
+    before = corners[np.searchsorted(corners, at, side="right") - 1]
+    fans = np.stack([before, at, np.roll(at, -1)], axis=1)[before != at]
+    return rim[np.concatenate([corners[disc], fans])]
