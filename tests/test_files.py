@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
@@ -189,9 +191,22 @@ def build(folder: str) -> str:
     return ""
 
 
-def test_four_processes_build_one_scene(tmp_path):
+def built_by_four(folder: Path, scenes: int) -> set[str]:
+    """Let four processes at once build each of the scenes; return what went wrong, {""} for nothing."""
     context = get_context("forkserver")
     context.set_forkserver_preload(["tests.test_files"])
     with ProcessPoolExecutor(4, mp_context=context) as pool:
-        told = list(pool.map(build, [str(tmp_path / f"my-{index}") for index in range(2) for _ in range(4)]))
-    assert set(told) == {""} and len(list(tmp_path.iterdir())) == 2
+        return set(
+            pool.map(build, [str(folder / f"my-{index}") for index in range(scenes) for _ in range(4)])
+        )
+
+
+def test_four_processes_build_one_scene(tmp_path):
+    assert built_by_four(tmp_path, 2) == {""} and len(list(tmp_path.iterdir())) == 2
+
+
+if __name__ == "__main__":  # python -m tests.test_files BUILDS
+    with tempfile.TemporaryDirectory() as place:
+        wrong = built_by_four(Path(place), int(sys.argv[1]) // 4)
+        print(len(os.listdir(place)), "scenes,", "; ".join(wrong - {""}) or "no failure")
+        sys.exit(wrong != {""})
