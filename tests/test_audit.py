@@ -80,10 +80,24 @@ def test_more_bars_than_certified_are_a_warning():
     rungs = [rung(2048, 1, 0, 1), rung(4096, 1, 0, 2), rung(8192, 1, 0, 2)]
     warnings = decide(rungs, CLOSED).warnings
     assert len(warnings) == 2
-    assert "M = 4096 shows 2 significant voids (H2) where 1 are expected" in warnings[0]
+    assert "M = 4096 shows 2 voids where 1 are expected" in warnings[0]
     assert (
         "another sampling seed"
         in decide([rung(2048, 1, 0, 1, 1.05), rung(8192, 1, 0, 1, 2.0)], CLOSED).warnings[0]
+    )
+
+
+def test_reasons_count_components_loops_and_voids():
+    rungs = [rung(2048, 2, 0, 1), rung(8192, 2, 1, 2)]
+    assert decide(rungs, replace(CLOSED, betti=(2, 0, 2))).reasons == (
+        "The certificate passes; expected are 2 components, 0 loops, 2 voids.",
+        "M = 2048 is the first working density that shows 2 of 2 components (tightest 1.50 of the floor).",
+        "Left out: 1 of 2 voids at M = 2048.",
+    )
+    assert decide(rungs, OPEN).reasons[0].endswith("is expected: 2 components, 1 loop, 2 voids.")
+    alone = [rung(2048, 1, 0, 1), rung(8192, 1, 0, 1)]
+    assert (
+        decide(alone, replace(CLOSED, betti=(2, 0, 1))).reasons[1].startswith("Only 1 of 2 components clear")
     )
 
 

@@ -47,6 +47,8 @@ def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
     # The void dies at the radius: .05 / (2 sqrt 3) lost.
     assert result["bottleneck"][2] == pytest.approx(0.05 / (2 * 3**0.5), rel=0.15)
     assert f"{result['bottleneck'][2]:.5f}" in printed and "<- discriminating" in printed
+    rows = [line.split() for line in printed.splitlines()]
+    assert ["components", "1", "1"] in [row[:1] + row[2:] for row in rows], "not 0, the number of finite bars"
 
 
 def test_evaluate_of_a_mesh_file(tmp_path, capsys):

@@ -92,16 +92,13 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
     observed = ladder[-1].counts
     if certificate.passed and certificate.closed:
         certified = (certificate.betti[0] - 1, certificate.betti[1], certificate.betti[2])
-        reasons.append(
-            f"The certificate passes ({betti_text(certificate.betti)}): the expected finite bars are "
-            f"{certified}."
-        )
+        reasons.append(f"The certificate passes; expected are {betti_text(certificate.betti)}.")
         choices = [("certificate", certified), ("observation", observed)]
     else:
         why = "is that of a surface with boundary" if certificate.passed else "fails"
+        seen = betti_text((observed[0] + 1, *observed[1:]))
         reasons.append(
-            f"The certificate {why}, so the expected bars are those observed at "
-            f"M = {ladder[-1].samples}: {observed}."
+            f"The certificate {why}, so what is observed at M = {ladder[-1].samples} is expected: {seen}."
         )
         choices = [("observation", observed)]
     for basis, expected in choices:
@@ -115,7 +112,7 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
                         f"M = {rung.samples}: {_top(rung, dimension):.2f} of the floor" for rung in ladder
                     )
                     reasons.append(
-                        f"0 of {expected[dimension]} expected {NAMES[dimension]} clear the floor at a "
+                        f"Only {counted(dimension, 0, expected[dimension])} clear the floor at a "
                         f"working density ({', '.join(tops)})."
                     )
                 continue
@@ -159,27 +156,21 @@ def _decision(
     reasons: list[str],
 ) -> Decision:
     others = tuple(d for d in range(3) if d != dimension and expected[d] and rung.counts[d] == expected[d])
-    count, wanted, name = rung.counts[dimension], expected[dimension], NAMES[dimension]
+    shown = counted(dimension, rung.counts[dimension], expected[dimension])
     tightest = f"tightest {min(margin for margin in rung.margins[dimension] if margin > 1):.2f} of the floor"
     if complete:
-        reasons.append(
-            f"M = {rung.samples} is the first working density at which {wanted} of {wanted} expected {name} "
-            f"clear the floor ({tightest})."
-        )
+        reasons.append(f"M = {rung.samples} is the first working density that shows {shown} ({tightest}).")
     else:
         reasons.append(
-            f"No working density shows all {wanted} {name}; M = {rung.samples} is the first that shows any "
-            f"({count}, {tightest}), and the loss is restricted to it."
+            f"No working density shows all; M = {rung.samples} is the first that shows any, {shown} "
+            f"({tightest}), and the loss is restricted to it."
         )
     left = [d for d in range(3) if d != dimension and d not in others and (expected[d] or rung.counts[d])]
-    reasons += [
-        f"The {NAMES[d]} are left out: {rung.counts[d]} of {expected[d]} significant at M = {rung.samples}."
-        for d in left
-    ]
+    reasons += [f"Left out: {counted(d, rung.counts[d], expected[d])} at M = {rung.samples}." for d in left]
     warnings = [
-        f"M = {denser.samples} shows {denser.counts[d]} significant {NAMES[d]} where {expected[d]} are "
-        "expected: a concavity that caps, or a real feature of the clean surface; a count there is no "
-        "phantom of a reconstruction."
+        f"M = {denser.samples} shows {denser.counts[d] + (d == 0)} {FEATURES[d][1]} where "
+        f"{expected[d] + (d == 0)} are expected: a concavity that caps, or a real feature of the clean "
+        "surface; a count there is no phantom of a reconstruction."
         for denser in by_samples.values()
         if denser.samples >= rung.samples
         for d in range(3)

@@ -110,7 +110,7 @@ def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     mesh = find_mesh(shape, welded=False)
     decision = audit_mesh(mesh, densities=WORKING, first_seed=loss.bundle_seed).decision
     if decision.samples is None:
-        why = next((each for each in decision.reasons if each.startswith("0 of")), decision.reasons[-1])
+        why = next((each for each in decision.reasons if each.startswith("Only")), decision.reasons[-1])
         raise InputError(
             f"nothing of {shape} is measurable at M = {' or '.join(map(str, WORKING))}: {why} "
             f"Train it with condition {BASELINE}, or give an M of your own with --loss samples=M"

@@ -107,24 +107,23 @@ def _table(result: dict) -> str:
     """Return what the verb prints of a soup or mesh, beside its ground truth where there is one."""
     beside = f"against {result['target']}" if "target" in result else "no ground truth"
     unit = "target's diagonal" if "target" in result else "SfM cloud's diagonal"
-    heads: tuple[str, ...] = ("class", "bottleneck", "significant bars", "of the target", "")
+    heads: tuple[str, ...] = ("class", "bottleneck", "counted", "in the target", "")
     rows: list[tuple] = []
     for dimension, (_, more) in enumerate(FEATURES):
-        count = result["counts"][dimension]
+        bars, first = result["counts"][dimension], int(dimension == 0)  # no bar tells of the first component
         if "target" in result:
             judged = "<- discriminating" if dimension == result["dimension"] else ""
             distance = f"{result['bottleneck'][dimension]:.5f}"
-            rows.append((more, distance, count, result["target_counts"][dimension], judged))
+            rows.append((more, distance, bars + first, result["target_counts"][dimension] + first, judged))
         else:
-            margins = result["margins"][dimension][: max(count + 2, 3)]
-            rows.append((more, count, "  ".join(f"{margin:.2f}" for margin in margins)))
+            margins = result["margins"][dimension][: max(bars + 2, 3)]
+            rows.append((more, bars + first, "  ".join(f"{margin:.2f}" for margin in margins)))
     if "target" not in result:
-        heads = ("class", "significant bars", "the longest bars / floor (a bar counts above 1)")
+        heads = ("class", "counted", "the longest bars / floor (a bar counts above 1)")
     lines = [
         f"{result['surface']}, {beside}, {result['samples']} samples, seed {result['seed']}",
         to_string(heads, rows),
-        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the {unit}; finite bars only: there is "
-        "one component more than bars)",
+        f"floor {result['floor']:.5f} (6 r_med; lengths are radii / the {unit})",
     ]
     if "target" in result:
         lines.append(
