@@ -124,7 +124,7 @@ def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path
     assert part[:2] == scores("--holdout", "5", "--downscale", "1", "--background", "#102030")[:2]
     assert len({found[0], part[0], scores("--background", "white")[0]}) == 3
     # A record of another scene says nothing of this one.
-    Image.new("RGB", (48, 48)).save(next((scene / "images").iterdir()))
+    Image.linear_gradient("L").resize((48, 48)).save(next((scene / "images").iterdir()))
     (scene / "scene.json").unlink()
     other = scores()
     assert f"{record} is of another scene than {scene}" in other[2]
