@@ -98,7 +98,7 @@ def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_tru
     assert "training views: PSNR" in capsys.readouterr().out
     assert cli.main([*words[:2]]) == 2 and "give --target" in capsys.readouterr().err
     assert cli.main(["export", str(soup), "--scene", str(photographs), f"--out={tmp_path / 'x'}"]) == 0
-    assert {path.suffix for path in (tmp_path / "x").iterdir()} == {".ply", ".glb", ".png", ".html"}
+    assert {path.suffix for path in (tmp_path / "x").glob("[!.]*")} == {".ply", ".glb", ".png", ".html"}
 
 
 def test_a_path_spelled_differently_or_a_moved_folder_is_the_same_run(own, tmp_path, monkeypatch, capsys):
