@@ -115,6 +115,7 @@ def _disc(points: np.ndarray, taken: np.ndarray) -> np.ndarray:
     """Return the triangles (n-2,3) of a closed chain (n,3) that have the least area together, without the
     diagonals that are `taken` (n,n); none where there is no such disc (Barequet and Sharir 1995)."""
     n = len(points)
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     cost, middle = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
     for span in range(2, n):
         for i in range(n - span):
@@ -123,8 +124,10 @@ def _disc(points: np.ndarray, taken: np.ndarray) -> np.ndarray:
             if taken[i, j] and span < n - 1:
                 continue
             for k in range(i + 1, j):
-                normal = np.cross(points[k] - points[i], points[j] - points[i])
-                total = cost[i, k] + cost[k, j] + np.sqrt((normal * normal).sum())
+                ux, uy, uz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
+                vx, vy, vz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                total = cost[i, k] + cost[k, j] + np.sqrt(nx * nx + ny * ny + nz * nz)
                 if total < cost[i, j]:
                     cost[i, j], middle[i, j] = total, k
     triangles = np.empty((n - 2 if np.isfinite(cost[0, n - 1]) else 0, 3), dtype=np.int64)
