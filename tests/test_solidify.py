@@ -93,7 +93,7 @@ def solid_of(vertices, faces, betti, *offsets) -> SoupSolid:
 def test_a_sheet_has_the_numbers_but_no_inside():
     solid = solid_of(*shapes.bowl(), (1, 0, 1), 0.02, 0.03)
     assert solid.mesh is None and solid.hollow == solid.rungs
-    assert len(solid.holes) == 1 and "1 openings up to 31 % of D across are too wide" in offset_table(solid)
+    assert len(solid.holes) == 1 and "Too wide for a disc: 1 opening up to 31 % of D" in offset_table(solid)
 
 
 def test_a_thin_wall_is_a_body_without_an_inside():
@@ -120,7 +120,7 @@ def test_holes_of_a_scan_are_closed_where_a_body_is_wanted(body):
     solid = solid_of(sphere.vertices, sphere.faces[~gone], (1, 0, 1) if body else (1, 2, 0), 0.008)
     if body:
         assert solid.certificate.betti == (1, 0, 1) and solid.rung.inside > 0.8
-        assert len(solid.holes) == 3 and "3 holes up to 20 % of D across were" in offset_table(solid)
+        assert len(solid.holes) == 3 and "Closed by discs: 3 holes up to 20 % of D" in offset_table(solid)
     else:
         assert solid.holes == () and solid.certificate.betti == (1, 4, 1)
 

@@ -109,7 +109,8 @@ class Solidify(Options):
     betti B0,B1,B2: wanted components, loops, voids: 1,2,1 for a torus, 1,0,0 for an open bowl (its solid is
         a thick shell); default: the target's, without one the numbers that last over most offsets, at least
         over a third of their range
-    offsets ε,ε…: offsets to try, as fractions of the soup's diagonal (default: .004 to .02 in eight steps)
+    offsets ε,ε…: offsets to try, as fractions of the soup's diagonal, the smallest first, until one gives
+        what --betti or --target states (default: .004 to .02 in eight steps)
     cells: grid cells per offset
     target SHAPE|MESH: a ground truth (shape, key of a fetched mesh, or file): its certificate says what is
         wanted, and the distance to it is printed
@@ -275,11 +276,14 @@ def offset_table(solid: SoupSolid) -> str:
 def holes_text(holes: Sequence[float]) -> str:
     """Return what became of a mesh's holes, each so far across / diagonal, the widest first; ends with a
     space, or is empty where there are none."""
-    wide, text = sum(each > WIDEST for each in holes), ""
-    if wide < len(holes):
-        text = f"{len(holes) - wide} holes up to {100 * holes[wide]:.0f} % of D across were closed by discs. "
+    wide = sum(each > WIDEST for each in holes)
+    closed, text = len(holes) - wide, ""
+    if closed:
+        size = f"up to {100 * holes[wide]:.0f} % of D across"
+        text = f"Closed by discs: {closed} hole{'s' * (closed > 1)} {size}. "
     if wide:
-        text += f"{wide} openings up to {100 * holes[0]:.0f} % of D across are too wide for that. "
+        size = f"up to {100 * holes[0]:.0f} % of D across"
+        text += f"Too wide for a disc: {wide} opening{'s' * (wide > 1)} {size}. "
     return text
 
 
