@@ -249,7 +249,10 @@ def test_a_title_is_no_template_and_huge_soups_are_written(tmp_path):
         np.testing.assert_allclose(read.triangles.max(), huge.vertices.max(), rtol=1e-6)
 
 
-@pytest.mark.parametrize("file, up", [("my.obj", 1), ("A.GLB", 1), ("scan.ply", 2), ("torus", 2), (None, 2)])
+UPWARDS = [("my.obj", 1), ("A.GLB", 1), ("scan.ply", 2), ("torus", 2), (None, 2), ("spot", 1)]
+
+
+@pytest.mark.parametrize("file, up", [*UPWARDS, ("my.obj-C0-s0-a16fef.npz", 1)])
 def test_what_is_upwards(file, up):
     view = framing(np.array([[-1.0, -1, -1], [1, 1, 1]]), up=up_of(file))
     assert view.up[up] == 1 and view.eye[up] > 0.5 and view.target == (0, 0, 0)

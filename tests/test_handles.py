@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.cli import main
@@ -126,7 +127,12 @@ def test_the_command_marks_fills_and_cuts(tmp_path, capsys):
     assert main(["certify", "torus", "--where", str(page), "--json", str(found), "--quiet"]) == 0
     printed = capsys.readouterr().out
     assert "handle  1  red" in printed and "hole    1  blue" in printed and "void    1  green" in printed
-    assert "hole 1 (blue)" in page.read_text()
+    assert "hole 1 (blue)" in page.read_text() and '"up":[0.0,0.0,1.0]' in page.read_text()
+    ring = tube(RING, 0.2)
+    trimesh.Trimesh(ring.vertices, ring.faces, process=False).export(tmp_path / "t.obj")
+    assert main(["certify", str(tmp_path / "t.obj"), "--where", str(page), "--quiet"]) == 0
+    assert '"up":[0.0,1.0,0.0]' in page.read_text()
+    capsys.readouterr()
     kinds = [each["kind"] for each in json.loads(found.read_text())["where"]]
     assert kinds == ["handle", "hole", "void"]
     for words in (["--fill", "1"], ["--cut", "1", "--where", str(tmp_path / "w.ply")]):

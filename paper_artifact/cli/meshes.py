@@ -14,7 +14,7 @@ from paper_artifact.audit.rule import DENSITIES, WORKING, counted
 from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, quoted
 from paper_artifact.files import RESULTS, load_json, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.randomness import stream
@@ -95,9 +95,10 @@ def certify(options: Certify) -> tuple[int, Any]:
     found = certificate.to_json()
     if options.where or options.fill or options.cut:
         if not (certificate.passed and certificate.closed):
+            shell = quoted(f"{mesh.name}_shell.ply")
             raise InputError(
                 f"{mesh.name} is no closed certified surface, so it has no inside; make a shell of it first: "
-                f"python -m paper_artifact ingest {options.mesh} --out {mesh.name}_shell.ply"
+                f"python -m paper_artifact ingest {quoted(options.mesh)} --out {shell}"
             )
         found |= _where(options, mesh, certificate.genus or 0)
     if options.fill or options.cut:
@@ -126,7 +127,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.audit.marks import Mark, light_mesh, view_parts
     from paper_artifact.certify.certificate import verdict_text
     from paper_artifact.export.models import write_ply
-    from paper_artifact.export.viewer import write_html
+    from paper_artifact.export.viewer import framing, up_of, write_html
     from paper_artifact.ingest.handles import HANDLE, HOLE, find_loops, find_voids
     from paper_artifact.ingest.solidify import write_shell
     from paper_artifact.ingest.surgery import cut_and_capped
@@ -163,7 +164,8 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         parts = view_parts(light_mesh(mesh), marks, colours)
         if options.where.suffix == ".html":
             told = ", ".join(f"{what} {number} ({colour})" for what, number, colour, *_ in rows[:MOST_TOLD])
-            write_html(options.where, parts, f"{mesh.name}: {told}")
+            seen = framing(mesh.vertices, up=up_of(options.mesh))
+            write_html(options.where, parts, f"{mesh.name}: {told}", seen)
         else:
             write_ply(options.where, parts["seen through"])
         print(options.where)

@@ -255,4 +255,8 @@ def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) 
         return scene_viewpoint(load_scene(options.scene, **settings))
     row = next((each for each in SHAPES if each.name == options.target), None)
     points = triangles.visible().vertices.reshape(-1, 3)
-    return shape_viewpoint(row, points) if row else framing(points, up=up_of(options.target))
+    return (
+        shape_viewpoint(row, points)
+        if row
+        else framing(points, up=up_of(options.target or Path(options.soup).name))
+    )

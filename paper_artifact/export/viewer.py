@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from paper_artifact.catalogue import Shape
+from paper_artifact.catalogue import Shape, shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import Triangles
 from paper_artifact.files import write_text
@@ -46,9 +47,12 @@ def framing(points: np.ndarray, direction: Sequence[float] = FROM, up: Sequence[
 
 
 def up_of(file: str | None) -> Vector:
-    """Return what is upwards in a mesh of that file name: y for the formats of modelling programs (OBJ, GLB,
-    glTF), else z. The view has a button for what is otherwise."""
-    return (0.0, 1.0, 0.0) if str(file).lower().endswith((".obj", ".glb", ".gltf")) else UP
+    """Return what is upwards in a mesh of that file name, or in a soup that is called after it: y for the
+    formats of modelling programs (OBJ, GLB, glTF), else z; of a shape of the study what its row has. The view
+    has a button for what is otherwise."""
+    if row := shape_row(str(file)):
+        return row.up
+    return (0.0, 1.0, 0.0) if re.search(r"\.(obj|glb|gltf)(-|$)", str(file).lower()) else UP
 
 
 def shape_viewpoint(shape: Shape, points: np.ndarray) -> Viewpoint:
