@@ -227,6 +227,9 @@ def test_sort_keys_is_a_stable_sort():
     for top, size in ((2**63, 5000), (9, 5000), (9, 0)):
         keys = rng.integers(0, top, size).astype(np.uint64)
         np.testing.assert_array_equal(ordering.sort_keys(keys), np.argsort(keys, kind="stable"))
+    keys = np.append(keys, np.uint64(2**63))  # the others differ only far behind the first bit that differs
+    keys = np.append(keys, rng.integers(0, 1000, 5000).astype(np.uint64))
+    np.testing.assert_array_equal(ordering.sort_keys(keys), np.argsort(keys, kind="stable"))
 
 
 def test_the_hilbert_curve_visits_every_cell_and_never_jumps():

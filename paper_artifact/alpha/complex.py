@@ -9,7 +9,7 @@ The compiled code is kept beside the modules (`kernel_cache`), about 12 s of CPU
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from paper_artifact.kernel_cache import njit
 # Two squared radii closer than this, relative to the larger, are one value: rounding is about 1e-15.
 ROUNDING = 1e-12
 Stage = Callable[[str], None]
-Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # squared births, deaths, simplices of both
+Bars = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # squared births and deaths, simplices of both
 
 
 @dataclass(eq=False)
@@ -30,14 +30,9 @@ class Complex:
 
     exponent: int  # points = 2^exponent × the scaled points that the values belong to
     names: np.ndarray  # (n,) int32: the row of the points that each vertex was given in
-    edges: np.ndarray  # (e,2) int32 vertices
-    edge_values: np.ndarray  # (e,) float64
-    triangles: np.ndarray  # (k,3) int32 vertices
-    triangle_values: np.ndarray  # (k,) float64
-    cells: np.ndarray  # (m,4) int32 vertices
-    cell_values: np.ndarray  # (m,) float64
+    simplices: list[np.ndarray]  # of dimension d = 0 to 3: (k,d+1) int32 vertices
+    values: list[np.ndarray]  # of dimension d: (k,) float64
     of_triangle: np.ndarray  # (k,3) int32: the edge opposite each corner
-    of_cell: np.ndarray  # (m,4) int32: the triangle opposite each vertex
     sides: np.ndarray  # (k,2) int32: cells beside a triangle; without cells (e,2): triangles beside an edge
 
 
@@ -65,31 +60,25 @@ def build(points: np.ndarray, begin: Stage) -> Complex:
     ws = np.empty(WORKSPACE)
     if found == 3:
         triangles = np.ascontiguousarray(cells[cells != n].reshape(-1, 3))
+        cells = np.zeros((0, 4), dtype=np.int32)
         of_triangle, edges = filtration.edges_of(triangles, n, distinct - 1 + len(triangles) - 1)  # a disc
-        values, edge_values, sides = filtration.planar_values(cloud, triangles, edges, of_triangle, ws)
-        cells = of_cell = np.zeros((0, 4), dtype=np.int32)
-        cell_values = np.zeros(0)
+        *values, sides = filtration.planar_values(cloud, triangles, edges, of_triangle, ws)
+        values.append(np.zeros(0))
     else:
-        of_cell, triangles, sides = filtration.faces(cells, neighbours)
+        triangles, sides = filtration.faces(cells, neighbours)
         del neighbours
         edge_count = distinct + len(triangles) - len(cells) - 1  # a ball
         of_triangle, edges = filtration.edges_of(triangles, n, edge_count)
-        cell_values, values, edge_values = filtration.values(
-            cloud, cells, triangles, sides, of_cell, edges, of_triangle, ws
-        )
-    return Complex(
-        exponent,
-        names,
-        edges,
-        edge_values,
-        triangles,
-        values,
-        cells,
-        cell_values,
-        of_triangle,
-        of_cell,
-        sides,
-    )
+        values = filtration.values(cloud, cells, triangles, sides, edges, of_triangle, ws)
+    return _complex(exponent, names, [edges, triangles, cells], values, of_triangle, sides)
+
+
+def _complex(
+    exponent: int, names: np.ndarray, simplices: list, values: Iterable, *incidences: np.ndarray
+) -> Complex:
+    """Return the Complex with its vertices, given all else."""
+    vertices = np.arange(len(names), dtype=np.int32)[:, None]
+    return Complex(exponent, names, [vertices, *simplices], [np.zeros(len(names)), *values], *incidences)
 
 
 def _coned(ordered: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,83 +104,86 @@ def _on_a_line(ordered: np.ndarray, order: np.ndarray, exponent: int, begin: Sta
     edges = np.column_stack([places[:-1], places[1:]])
     values = (x * x + y * y + z * z) / 4.0
     two, three, four = (np.zeros((0, columns), dtype=np.int32) for columns in (2, 3, 4))
-    none = np.zeros(0)
-    return Complex(exponent, order[along], edges, values, three, none, four, none, three, four, two)
+    values = [values, np.zeros(0), np.zeros(0)]
+    return _complex(exponent, order[along], [edges, three, four], values, three, two)
 
 
-def squared_pairs(made: Complex, dimension: int) -> list[Rows]:
-    """Return the pairs of dimensions 0 to `dimension` (at most 2) as numbers of vertices.
+def squared_bars(made: Complex, top: int, names: np.ndarray) -> list[Bars]:
+    """Return the bars of dimensions 0 to `top` (at most 2); none above a flat cloud's own dimension.
 
-    Empty bars of dimensions 1 and 2 may be among them. A flat cloud has no pairs above its own dimension. The
-    complex is used up: a million points need the room of what is done with.
+    names (n,) int32: what the simplices call the vertices. The complex is used up: a million points need the
+    room of what is done with.
     """
-    if not len(made.cells):
-        return _flat_pairs(made)[: dimension + 1]
-    if dimension == 0:
-        return [_components(made)[0]]
-    voids, left, state, apparent = _voids(made)
-    rows, edge_order, merges = _components(made)
-    looping, killing = reduction.loops(made.of_triangle, left, state, edge_order, merges, apparent)
-    ends = made.edge_values[looping], made.triangle_values[killing]
-    return [rows, (*ends, made.edges[looping], made.triangles[killing]), voids][: dimension + 1]
+    solid = top > 0 and len(made.simplices[3]) > 0
+    made.simplices[2] = np.zeros((0, 3), dtype=np.int32)
+    if solid:
+        state, parents = reduction.apparent_voids(made.values[3], made.values[2], made.sides)
+        apparent = reduction.apparent_loops(made.values[2], made.values[1], made.of_triangle, state)
+        left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
+        left = left[reduction.increasing(made.values[2][left])]
+        pairs = reduction.voids(made.sides[left], left, made.values[3], parents, state)
+        del made.sides, parents
+        voids = _bars(made, 2, pairs, names)
+        del made.simplices[3], made.values[3], pairs
+    order = reduction.increasing(made.values[1])
+    pairs = order[apparent[order] < 0] if solid else order  # an apparent pair's edge closes a loop
+    *pairs, merges = reduction.components(made.simplices[1][pairs], pairs, len(made.names), len(order))
+    found = [_bars(made, 0, pairs, names)]
+    if solid:
+        pairs = reduction.loops(made.of_triangle, left, state, order, merges, apparent)
+        del left, state, order, merges, apparent
+        found += [_bars(made, 1, pairs, names), voids]
+    elif top > 0 and len(made.values[2]):  # in a plane, edges that close a loop and triangles are dual to H0
+        parents, state = (
+            np.arange(len(made.values[2]) + 1, dtype=np.int32),
+            np.zeros(len(order), dtype=np.int8),
+        )
+        pairs = reduction.voids(made.sides[order], order, made.values[2], parents, state)
+        found.append(_bars(made, 1, pairs, names))
+    return found[: top + 1]
 
 
-def _components(made: Complex) -> tuple[Rows, np.ndarray, np.ndarray]:
-    """Return the pairs of dimension 0, the edges by value (e,) and which of them merge components (e,)."""
-    order = reduction.increasing(made.edge_values)
-    ended, merging, merges = reduction.components(made.edges, order, len(made.names))
-    rows = np.zeros(len(ended)), made.edge_values[merging], ended[:, None], made.edges[merging]
-    return rows, order, merges
+def _bars(made: Complex, dimension: int, pairs: Sequence[np.ndarray], names: np.ndarray) -> Bars:
+    """Return the lasting bars of `pairs`: rows (r,) int32 of the simplices that bear and end it."""
+    births, deaths = (made.values[dimension + i][pairs[i]] for i in (0, 1))
+    keep = lasting(births, deaths)
+    simplices = []
+    for at, rows in enumerate(pairs, dimension):
+        chosen = rows[keep]
+        found = (
+            _corners(made.simplices[1], made.of_triangle, chosen) if at == 2 else made.simplices[at][chosen]
+        )
+        simplices.append(named(found, names))
+    return births[keep], deaths[keep], *simplices
 
 
-def _voids(made: Complex) -> tuple[Rows, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pairs of dimension 2, and for `reduction.loops` the open triangles by value, their state and
-    the apparent pairs."""
-    state, parents = reduction.apparent_voids(
-        made.cell_values, made.triangle_values, made.of_cell, made.sides
-    )
-    del made.of_cell
-    apparent = reduction.apparent_loops(made.triangle_values, made.edge_values, made.of_triangle, state)
-    left = np.flatnonzero(state == reduction.OPEN).astype(np.int32)
-    left = left[reduction.increasing(made.triangle_values[left])]
-    closing, filling = reduction.voids(made.sides, left, made.cell_values, parents, state)
-    ends = made.triangle_values[closing], made.cell_values[filling]
-    rows = (*ends, made.triangles[closing], made.cells[filling])
-    del made.sides, made.cells, made.cell_values
-    return rows, left, state, apparent
+@njit(cache=True, nogil=True)
+def _corners(edges: np.ndarray, of_triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the vertices (r,3) int32 of triangles by their edges: the list of triangles can go early."""
+    corners = np.empty((len(rows), 3), dtype=np.int32)
+    for k in range(len(rows)):
+        one, other = of_triangle[rows[k], 0], of_triangle[rows[k], 1]
+        a, b, c = edges[one, 0], edges[one, 1], edges[other, 0]
+        corners[k, 0], corners[k, 1] = a, b
+        corners[k, 2] = edges[other, 1] if c in (a, b) else c
+    return corners
 
 
-def _flat_pairs(made: Complex) -> list[Rows]:
-    """Return the pairs of a cloud in a plane or on a line: the edges that close a loop and the triangles are
-    dual to dimension 0."""
-    rows, order, _ = _components(made)
-    if not len(made.triangles):
-        return [rows]
-    parents = np.arange(len(made.triangles) + 1, dtype=np.int32)
-    state = np.zeros(len(made.edges), dtype=np.int8)
-    looping, killing = reduction.voids(made.sides, order, made.triangle_values, parents, state)
-    ends = made.edge_values[looping], made.triangle_values[killing]
-    return [rows, (*ends, made.edges[looping], made.triangles[killing])]
-
-
-def sorted_rows(rows: Rows, names: np.ndarray) -> Rows:
-    """Return the bars of positive length by birth, then death; simplices as increasing int64 names."""
-    births, deaths, birth_simplices, death_simplices = rows
+def lasting(births: np.ndarray, deaths: np.ndarray) -> np.ndarray:
+    """Return the order (k,) int32 of the bars of positive length by birth, then death."""
     keep = np.flatnonzero(deaths - births > ROUNDING * deaths).astype(np.int32)
     keep = keep[reduction.increasing(deaths[keep])]
-    keep = keep[reduction.increasing(births[keep])]
-    simplices = [named(each, keep, names) for each in (birth_simplices, death_simplices)]
-    return births[keep], deaths[keep], simplices[0], simplices[1]
+    return keep[reduction.increasing(births[keep])]
 
 
-@njit("int64[:,::1](int32[:,:], int32[::1], int32[::1])", cache=True, nogil=True)
-def named(simplices: np.ndarray, rows: np.ndarray, names: np.ndarray) -> np.ndarray:
-    """Return the chosen `rows` (r,) of simplices (k,d) with their vertices renamed, each row increasing."""
-    width = simplices.shape[1]
-    result = np.empty((len(rows), width), dtype=np.int64)
-    for k in range(len(rows)):
+@njit("int64[:,::1](int32[:,:], int32[::1])", cache=True, nogil=True)
+def named(simplices: np.ndarray, names: np.ndarray) -> np.ndarray:
+    """Return simplices (k,d) with their vertices renamed, each row increasing."""
+    count, width = simplices.shape
+    result = np.empty((count, width), dtype=np.int64)
+    for k in range(count):
         for i in range(width):
-            name, place = np.int64(names[simplices[rows[k], i]]), i
+            name, place = np.int64(names[simplices[k, i]]), i
             while place > 0 and result[k, place - 1] > name:
                 result[k, place] = result[k, place - 1]
                 place -= 1

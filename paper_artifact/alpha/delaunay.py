@@ -12,27 +12,21 @@ from __future__ import annotations
 import numpy as np
 
 from paper_artifact.alpha.expansions import WORKSPACE
-from paper_artifact.alpha.predicates import (
-    insphere,
-    insphere_filter,
-    orient3d,
-    orient3d_exact,
-    orient3d_filter,
-)
+from paper_artifact.alpha.predicates import insphere, insphere_of, orient3d, orient3d_exact, orient3d_filter
 from paper_artifact.kernel_cache import njit
 
 INFINITE = -1  # the last vertex of a cell outside the hull
 DEAD = -2  # the first vertex of an unused row
 
-# The first tetrahedron (0, 1, 2, 3) and the four infinite cells around it: vertices, then the neighbours
-# opposite to them.
+# A row of a mesh: a cell's vertices and, opposite to each, 4 times the neighbour's row plus the place of this
+# cell among its neighbours. At first, a tetrahedron (0, 1, 2, 3) and the four infinite cells around it.
 START = np.array(
     [
-        [0, 1, 2, 3, 1, 2, 3, 4],
-        [3, 1, 2, INFINITE, 4, 2, 3, 0],
-        [0, 3, 2, INFINITE, 1, 4, 3, 0],
-        [0, 1, 3, INFINITE, 1, 2, 4, 0],
-        [1, 0, 2, INFINITE, 2, 1, 3, 0],
+        [0, 1, 2, 3, 7, 11, 15, 19],
+        [3, 1, 2, INFINITE, 17, 8, 12, 0],
+        [0, 3, 2, INFINITE, 5, 16, 13, 1],
+        [0, 1, 3, INFINITE, 6, 10, 18, 2],
+        [1, 0, 2, INFINITE, 9, 4, 14, 3],
     ],
     dtype=np.int32,
 )
@@ -92,67 +86,202 @@ def first_simplex(points: np.ndarray, order: np.ndarray) -> int:
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _conflict_filter(points: np.ndarray, mesh: np.ndarray, t: int, p: int) -> tuple[float, float]:
-    """Return (value, bound) of p in the sphere of cell t, open (0, 0) for an infinite cell."""
-    d = mesh[t, 3]
-    if d == INFINITE:
-        return 0.0, 0.0
-    return insphere_filter(
-        points, np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2]), np.int64(d), p
-    )
+def _at(row: int, column: int) -> np.uint64:
+    """Return where a mesh has a column of a row; unsigned, so that numba does not look for a negative one."""
+    return np.uint64(8 * np.int64(row) + column)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
+def _vertices(mesh: np.ndarray, t: int) -> tuple:
+    """Return the vertices of cell t, int64."""
+    a, b, c, d = mesh[_at(t, 0)], mesh[_at(t, 1)], mesh[_at(t, 2)], mesh[_at(t, 3)]
+    return np.int64(a), np.int64(b), np.int64(c), np.int64(d)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _copy(source: np.ndarray, row: int, target: np.ndarray, to: int) -> None:
+    """Copy a row's vertices."""
+    a, b, c, d = source[_at(row, 0)], source[_at(row, 1)], source[_at(row, 2)], source[_at(row, 3)]
+    target[_at(to, 0)], target[_at(to, 1)], target[_at(to, 2)], target[_at(to, 3)] = a, b, c, d
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _insphere_lanes(lanes: np.ndarray, tests: int, x: float, y: float, z: float) -> None:
+    """Evaluate insphere_of for `tests` tests IN PLACE, four at a time: compiled to vector instructions.
+
+    lanes: 14 rows of 64; column k of row r is the r-th difference of test k, from row 12 on value and bound.
+    """
+    row = np.uint64(64)
+    for k in range((tests + 3) & ~3):
+        a = np.uint64(k)
+        b, c, d = a + 3 * row, a + 6 * row, a + 9 * row
+        lanes[a + 12 * row], lanes[a + 13 * row] = insphere_of(
+            (
+                *(lanes[a] - x, lanes[a + row] - y, lanes[a + 2 * row] - z),
+                *(lanes[b] - x, lanes[b + row] - y, lanes[b + 2 * row] - z),
+                *(lanes[c] - x, lanes[c + row] - y, lanes[c + 2 * row] - z),
+                *(lanes[d] - x, lanes[d + row] - y, lanes[d + 2 * row] - z),
+            )
+        )
+
+
+@njit(cache=True, nogil=True, forceinline=True)
 def _in_conflict(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> bool:
     """Return whether p destroys cell t: p inside its sphere, or, for an infinite cell, beyond its triangle.
 
     In the plane of the triangle, inside its circle: that is where the plane meets the inner cell's sphere.
     """
-    a, b, c = np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2])
-    if mesh[t, 3] == INFINITE:
+    a, b, c, d = _vertices(mesh, t)
+    if d == INFINITE:
         side = orient3d(points, a, b, c, p, ws)
         if side != 0.0:
             return side > 0.0
-        t = mesh[t, 7]
-        a, b, c = np.int64(mesh[t, 0]), np.int64(mesh[t, 1]), np.int64(mesh[t, 2])
-    return insphere(points, a, b, c, np.int64(mesh[t, 3]), p, ws) > 0.0
+        a, b, c, d = _vertices(mesh, mesh[_at(t, 7)] >> 2)
+    return insphere(points, a, b, c, d, p, ws) > 0.0
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray) -> int:
     """Walk from cell t; return the finite cell that contains p, or an infinite one p lies beyond."""
-    if mesh[t, 3] == INFINITE:
-        t = mesh[t, 7]
-    previous = np.int32(-1)
-    while mesh[t, 3] != INFINITE:
-        following = np.int32(-1)
+    if mesh[_at(t, 3)] == INFINITE:
+        t = mesh[_at(t, 7)] >> 2
+    came = -1
+    while mesh[_at(t, 3)] != INFINITE:
+        following = -1
         for i in range(4):
-            other = mesh[t, 4 + i]
-            if other == previous:
+            if i == came:
                 continue
-            a, b = np.int64(mesh[t, FACE[i, 0]]), np.int64(mesh[t, FACE[i, 1]])
-            c = np.int64(mesh[t, FACE[i, 2]])
+            a, b = np.int64(mesh[_at(t, FACE[i, 0])]), np.int64(mesh[_at(t, FACE[i, 1])])
+            c = np.int64(mesh[_at(t, FACE[i, 2])])
             side, bound = orient3d_filter(points, a, b, c, p)
             if abs(side) <= bound:
                 side = orient3d_exact(points, a, b, c, p, ws)
             if side < 0.0:
-                following = other
+                following = np.int64(mesh[_at(t, 4 + i)])
                 break
         if following < 0:
             return t
-        previous = t
-        t = following
+        t, came = following >> 2, following & 3
     return t
 
 
 @njit(cache=True, nogil=True)
-def _grown(array: np.ndarray, rows: int) -> np.ndarray:
-    """Return a copy of (m, k) `array` with `rows` rows, the new ones 0."""
-    larger = np.zeros((rows, array.shape[1]), dtype=np.int32)
+def _grown(array: np.ndarray, size: int) -> np.ndarray:
+    """Return a copy of `array` (m,) with the size `size`, what is new 0."""
+    larger = np.zeros(size, dtype=np.int32)
     for i in range(len(array)):  # a slice assignment takes seconds to compile
-        for j in range(array.shape[1]):
-            larger[i, j] = array[i, j]
+        larger[i] = array[i]
     return larger
+
+
+@njit(cache=True, nogil=True)
+def _insert(points: np.ndarray, mesh: np.ndarray, mark: np.ndarray, state: np.ndarray, room: int) -> None:
+    """Insert points IN PLACE from number state[0] on, until all are in or there is no room for the next.
+
+    state: next point, used rows of the mesh, first unused row (its column 4 has the next, or -1), last cell,
+    duplicates, last mark. room: for the cells of a cavity.
+
+    No array gets another name in here: numba would count references in every step, with a memory fence each.
+    """
+    n, flat = len(points), points.reshape(-1)
+    p, used, free, last, duplicates, stamp = state[0], state[1], state[2], state[3], state[4], state[5]
+    ws, lanes, tested = np.empty(WORKSPACE), np.zeros(14 * 64), np.empty(64, dtype=np.int32)
+    cavity, rim = np.empty(room, dtype=np.int32), np.empty(8 * (2 * room + 8), dtype=np.int32)
+    places, beyond = np.empty(2 * room + 8, dtype=np.int32), np.empty(2 * room + 8, dtype=np.int32)
+    while p < n:
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        first = _locate(points, mesh, last, p, ws)
+        known = False
+        for i in range(4):
+            v = np.int64(mesh[_at(first, i)])  # INFINITE counts from the end and is not looked at
+            known |= points[v, 0] == x and points[v, 1] == y and points[v, 2] == z
+        if known and mesh[_at(first, 3)] != INFINITE:
+            duplicates += 1
+            last = first
+            p += 1
+            continue
+        # The cavity: all cells in conflict, connected. The neighbours of sixteen cells are tested together.
+        stamp += 2
+        inside, outside = np.int32(stamp), np.int32(stamp + 1)
+        cavity[0] = first
+        mark[np.uint64(first)] = inside
+        count, done = 1, 0
+        while done < count and count + 64 <= room:
+            tests, begin = 0, done
+            done = min(count, begin + 16)
+            for k in range(begin, done):
+                for i in range(4):
+                    other = np.uint64(mesh[_at(cavity[np.uint64(k)], 4 + i)] >> 2)
+                    tested[np.uint64(tests)] = other
+                    tests += mark[other] < inside
+                    mark[other] = outside - (mark[other] == inside)
+            for k in range(tests):
+                for i in range(4):
+                    v = np.int64(mesh[_at(tested[np.uint64(k)], i)])
+                    v = np.uint64(3 * v * (v > 0))
+                    place = np.uint64(k + 192 * i)
+                    lanes[place] = flat[v]
+                    lanes[place + np.uint64(64)] = flat[v + np.uint64(1)]
+                    lanes[place + np.uint64(128)] = flat[v + np.uint64(2)]
+            _insphere_lanes(lanes, tests, x, y, z)
+            for k in range(tests):
+                other, value = np.uint64(tested[np.uint64(k)]), lanes[np.uint64(12 * 64 + k)]
+                conflict = value > 0.0
+                if abs(value) <= lanes[np.uint64(13 * 64 + k)] or mesh[_at(other, 3)] == INFINITE:
+                    conflict = _in_conflict(points, mesh, np.int64(other), p, ws)
+                mark[other] = outside - conflict
+                cavity[np.uint64(count)] = other
+                count += conflict
+        if done < count or 8 * (used + count + 2) > len(mesh):
+            break
+        # Its rim: triangle f, opposite place i of cell t, makes a new cell with p; ~f stands there.
+        faces = 0
+        for k in range(count):
+            for i in range(4):
+                code = 4 * cavity[np.uint64(k)] + i
+                places[np.uint64(faces)] = code
+                faces += mark[np.uint64(mesh[_at(code >> 2, 4 + i)] >> 2)] == outside
+        for f in range(faces):
+            code = places[np.uint64(f)]
+            _copy(mesh, code >> 2, rim, f)
+            for j in range(4, 8):
+                rim[_at(f, j)] = -1
+            there = _at(code >> 2, 4 + (code & 3))
+            beyond[np.uint64(f)], mesh[there] = mesh[there], ~np.int32(f)
+            rim[_at(f, code & 3)], rim[_at(f, 4 + (code & 3))] = p, 0
+        # New cells with a common edge of the rim are neighbours: the old cells around it lead there.
+        for f in range(faces):
+            for j in range(4):
+                if rim[_at(f, 4 + j)] < 0:
+                    t, entry, leave = places[np.uint64(f)] >> 2, places[np.uint64(f)] & 3, j
+                    code = mesh[_at(t, 4 + leave)]
+                    while code >= 0:
+                        opposite, t, entry, leave = mesh[_at(t, entry)], code >> 2, code & 3, 0
+                        for k in range(1, 4):
+                            leave += k * (mesh[_at(t, k)] == opposite)
+                        code = mesh[_at(t, 4 + leave)]
+                    rim[_at(f, 4 + j)], rim[_at(~code, 4 + entry)] = 4 * ~code + entry, 4 * f + j
+        for k in range(count):
+            t = np.int64(cavity[np.uint64(k)])
+            mesh[_at(t, 0)], mesh[_at(t, 4)] = DEAD, free
+            free = t
+        for f in range(faces):
+            t = used if free < 0 else free
+            places[np.uint64(f)] = 4 * t + (places[np.uint64(f)] & 3)
+            if free < 0:
+                used += 1
+            else:
+                free = np.int64(mesh[_at(t, 4)])
+        for f in range(faces):
+            code, out = places[np.uint64(f)], beyond[np.uint64(f)]
+            _copy(rim, f, mesh, code >> 2)
+            for j in range(4):
+                mate = rim[_at(f, 4 + j)]
+                mesh[_at(code >> 2, 4 + j)] = 4 * (places[np.uint64(mate >> 2)] >> 2) + (mate & 3)
+            mesh[_at(code >> 2, 4 + (code & 3))], mesh[_at(out >> 2, 4 + (out & 3))] = out, code
+        last = np.int64(places[np.uint64(faces - 1)] >> 2)
+        p += 1
+    state[0], state[1], state[2], state[3], state[4], state[5] = p, used, free, last, duplicates, stamp
 
 
 @njit("Tuple((int32[:,::1], int64))(float64[:,::1])", cache=True, nogil=True)
@@ -166,139 +295,17 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
     duplicates an earlier one is in no cell.
     """
     n = len(points)
-    ws = np.empty(WORKSPACE)
-    distinct = n
-    capacity = 9 * n + 64
-    mesh = np.empty((capacity, 8), dtype=np.int32)  # a cell's vertices, then its neighbours opposite to them
-    mark = np.zeros((capacity, 1), dtype=np.int32)  # 2p: in conflict with p, 2p + 1: not; less: not yet known
-    for t in range(len(START)):
-        for i in range(8):
-            mesh[t, i] = START[t, i]
-    used = 5
-    free = np.empty((capacity, 1), dtype=np.int32)
-    free_count = 0
-    cavity = np.empty((256, 1), dtype=np.int32)
-    rim = np.empty((256, 6), dtype=np.int32)  # new cell's vertices, the slot of p, the cell outside
-    values, bounds = np.empty(4), np.empty(4)
-    table = 1024
-    slot_keys = np.empty(table, dtype=np.int64)
-    slot_sides = np.empty(table, dtype=np.int32)
-    slot_stamps = np.zeros(table, dtype=np.int32)
-    last = np.int32(0)
-    for p in range(4, n):
-        first = _locate(points, mesh, last, p, ws)
-        if mesh[first, 3] != INFINITE:
-            known = False
-            for i in range(4):
-                v = mesh[first, i]
-                if (
-                    points[v, 0] == points[p, 0]
-                    and points[v, 1] == points[p, 1]
-                    and points[v, 2] == points[p, 2]
-                ):
-                    known = True
-            if known:
-                distinct -= 1
-                last = first
-                continue
-        # The cavity: all cells in conflict, connected; its rim becomes the new cells.
-        inside, outside = np.int32(2 * p), np.int32(2 * p + 1)
-        cavity[0, 0] = first
-        mark[first, 0] = inside
-        count, done, faces = 1, 0, 0
-        while done < count:
-            t = cavity[done, 0]
-            done += 1
-            if count + 4 > len(cavity):
-                cavity = _grown(cavity, 2 * len(cavity))
-            if faces + 4 > len(rim):
-                rim = _grown(rim, 2 * len(rim))
-            # All neighbours' values first: without a branch between them the processor overlaps them.
-            for i in range(4):
-                other = np.uint32(mesh[t, 4 + i])
-                if mark[other, 0] < inside:
-                    values[i], bounds[i] = _conflict_filter(points, mesh, other, p)
-            for i in range(4):
-                other = np.uint32(mesh[t, 4 + i])
-                state = mark[other, 0]
-                if state == inside:
-                    continue
-                if state != outside:
-                    conflict = values[i] > 0.0
-                    if abs(values[i]) <= bounds[i]:
-                        conflict = _in_conflict(points, mesh, np.int64(other), p, ws)
-                    if conflict:
-                        mark[other, 0] = inside
-                        cavity[count, 0] = other
-                        count += 1
-                        continue
-                    mark[other, 0] = outside
-                for j in range(4):
-                    rim[faces, j] = mesh[t, j]
-                rim[faces, i] = p
-                rim[faces, 4] = 4 * t + i
-                rim[faces, 5] = other
-                faces += 1
-        # The outside cells still name the old ones: find the slot before those are overwritten.
-        for f in range(faces):
-            other, old = np.uint32(rim[f, 5]), rim[f, 4] >> 2
-            back = 0
-            for j in range(1, 4):
-                if mesh[other, 4 + j] == old:
-                    back = j
-            rim[f, 4] = 4 * (rim[f, 4] & 3) + back
-        if free_count + count > len(free):
-            free = _grown(free, 2 * len(free) + count)
-        for k in range(count):
-            free[free_count, 0] = cavity[k, 0]
-            free_count += 1
-            mesh[cavity[k, 0], 0] = DEAD
-        if used + faces > len(mesh):
-            rows = 2 * len(mesh) + faces
-            mesh, mark = _grown(mesh, rows), _grown(mark, rows)
-        if 3 * faces > table:
-            while table < 6 * faces:
-                table *= 2
-            slot_keys = np.empty(table, dtype=np.int64)
-            slot_sides = np.empty(table, dtype=np.int32)
-            slot_stamps = np.zeros(table, dtype=np.int32)
-        for f in range(faces):
-            if free_count > 0:
-                free_count -= 1
-                t = np.uint32(free[free_count, 0])
-            else:
-                t = np.uint32(used)
-                used += 1
-            i, back, other = rim[f, 4] >> 2, rim[f, 4] & 3, np.uint32(rim[f, 5])
-            for j in range(4):
-                mesh[t, j] = rim[f, j]
-            mark[t, 0] = 0
-            mesh[t, 4 + i] = other
-            mesh[other, 4 + back] = t
-            last = np.int32(t)
-            # The triangle opposite j holds p and an edge of the rim, which one other new cell has as well.
-            for j in range(4):
-                if j == i:
-                    continue
-                u, v = -1, -1
-                for k in range(4):
-                    if k != i and k != j:
-                        u, v = v, rim[f, k]
-                if u > v:
-                    u, v = v, u
-                key = (np.int64(u) + 1) * np.int64(n + 1) + np.int64(v)
-                place = ((u + 1) * 73856093 ^ v * 19349663) & (table - 1)
-                while slot_stamps[place] == p and slot_keys[place] != key:
-                    place = (place + 1) & (table - 1)
-                if slot_stamps[place] == p:
-                    mate, side = np.uint32(slot_sides[place] >> 2), slot_sides[place] & 3
-                    mesh[t, 4 + j] = mate
-                    mesh[mate, 4 + side] = t
-                else:
-                    slot_stamps[place] = p
-                    slot_keys[place] = key
-                    slot_sides[place] = 4 * t + j
-    return mesh[:used], distinct
+    rows, room = 9 * n + 64, 256
+    mesh, mark = _grown(START.reshape(-1), 8 * rows), np.zeros(rows, dtype=np.int32)
+    state = np.array([4, 5, -1, 0, 0, 0])
+    while True:
+        _insert(points, mesh, mark, state, room)
+        if state[0] == n:
+            return mesh[: 8 * state[1]].reshape(-1, 8), n - state[4]
+        room *= 2
+        if state[1] + room > rows:
+            rows = 2 * rows + room
+            mesh, mark = _grown(mesh, 8 * rows), _grown(mark, rows)
 
 
 @njit(cache=True, nogil=True)
@@ -329,5 +336,5 @@ def finite_cells(mesh: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.nda
         if number[t] >= 0:
             for i in range(4):
                 cells[number[t], i] = rank[mesh[t, i]]
-                neighbours[number[t], i] = number[mesh[t, 4 + i]]
+                neighbours[number[t], i] = number[mesh[t, 4 + i] >> 2]
     return cells, neighbours

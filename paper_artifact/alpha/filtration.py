@@ -48,8 +48,8 @@ TRIANGLE, NORMAL = _normal()
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray) -> float:
-    """Return the squared circumradius of a tetrahedron, not exactly flat, given by row indices.
+def tetrahedron_filter(points: np.ndarray, a: int, b: int, c: int, d: int) -> float:
+    """Return the squared circumradius of a tetrahedron given by row indices, -(|u||v||w|)² if it is flat.
 
     Infinite when it overflows.
     """
@@ -64,14 +64,14 @@ def tetrahedron_value(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np
         y = uu * py + vv * (wz * ux - wx * uz) + ww * (uz * vx - ux * vz)
         z = uu * pz + vv * (wx * uy - wy * ux) + ww * (ux * vy - uy * vx)
         return (x * x + y * y + z * z) / (4.0 * det * det)
-    return _flat_tetrahedron_value(points, a, b, c, d, uu * vv * ww, ws)
+    return -uu * vv * ww
 
 
 @njit(cache=True, nogil=True)
-def _flat_tetrahedron_value(
+def flat_tetrahedron_value(
     points: np.ndarray, a: int, b: int, c: int, d: int, unit: float, ws: np.ndarray
 ) -> float:
-    """Return what tetrahedron_value does, by double-doubles or, where det² < FLATTER² unit, exactly."""
+    """Return the squared circumradius by double-doubles or, where det² < FLATTER² unit, exactly."""
     values = np.empty((9 + len(TETRAHEDRON), 2))
     rows = np.array([b, c, d, a])
     det = evaluate(points, rows, TETRAHEDRON, values)
@@ -83,21 +83,18 @@ def _flat_tetrahedron_value(
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def triangle_value(points: np.ndarray, a: int, b: int, c: int, ws: np.ndarray) -> float:
-    """Return the squared circumradius of a triangle, not exactly collinear, given by row indices."""
+def triangle_sides(points: np.ndarray, a: int, b: int, c: int) -> tuple[float, float, float]:
+    """Return |u|²|v|², |u x v|² and |w|² of a triangle with the sides u, v, w, given by row indices."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
     uu, vv, ww = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    area = x * x + y * y + z * z
-    if area <= FLAT * FLAT * uu * vv:
-        area = _flat_triangle_area(points, a, b, c, uu * vv, ws)
-    return uu * vv / area * ww / 4.0
+    return uu * vv, x * x + y * y + z * z, ww
 
 
 @njit(cache=True, nogil=True)
-def _flat_triangle_area(points: np.ndarray, a: int, b: int, c: int, unit: float, ws: np.ndarray) -> float:
+def flat_triangle_area(points: np.ndarray, a: int, b: int, c: int, unit: float, ws: np.ndarray) -> float:
     """Return |u x v|² by double-doubles or, below FLATTER² unit, exactly."""
     values = np.empty((6 + len(TRIANGLE), 2))
     rows = np.array([b, c, a])
@@ -110,40 +107,26 @@ def _flat_triangle_area(points: np.ndarray, a: int, b: int, c: int, unit: float,
 
 
 @njit(cache=True, nogil=True)
-def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (cell_triangles, triangles, sides) of (m, 4) cells, all int32.
-
-    cell_triangles (m, 4): the triangle opposite each vertex; triangles (k, 3): vertices; sides (k, 2): the
-    cells on both sides, -1 outside the hull.
-    """
-    m = len(cells)
+def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles (k, 3) of (m, 4) cells and the cells beside them (k, 2), -1 outside; int32."""
     hull = 0
-    for t in range(m):
+    for t in range(len(cells)):
         for i in range(4):
-            if neighbours[t, i] < 0:
-                hull += 1
-    count = (4 * m + hull) // 2
-    of_cell = np.empty((m, 4), dtype=np.int32)
-    triangles = np.empty((count, 3), dtype=np.int32)
-    sides = np.empty((count, 2), dtype=np.int32)
+            hull += neighbours[t, i] < 0
+    count = (4 * len(cells) + hull) // 2
+    triangles, sides = np.empty((count, 3), dtype=np.int32), np.empty((count, 2), dtype=np.int32)
     k = 0
-    for t in range(m):
+    for t in range(len(cells)):
         for i in range(4):
-            other = neighbours[t, i]
-            if 0 <= other < t:
+            if not 0 <= neighbours[t, i] < t:
+                place = 0
                 for j in range(4):
-                    if neighbours[other, j] == t:
-                        of_cell[t, i] = of_cell[other, j]
-                continue
-            of_cell[t, i] = k
-            place = 0
-            for j in range(4):
-                if j != i:
-                    triangles[k, place] = cells[t, j]
-                    place += 1
-            sides[k, 0], sides[k, 1] = t, other
-            k += 1
-    return of_cell, triangles, sides
+                    if j != i:
+                        triangles[k, place] = cells[t, j]
+                        place += 1
+                sides[k, 0], sides[k, 1] = t, neighbours[t, i]
+                k += 1
+    return triangles, sides
 
 
 @njit(cache=True, nogil=True)
@@ -155,6 +138,9 @@ def edges_of(triangles: np.ndarray, vertex_count: int, edge_count: int) -> tuple
     table = 1024
     while table < 2 * edge_count:
         table *= 2
+    near = table // max(
+        vertex_count, 1
+    )  # an edge is looked for near its first vertex first: that is in the cache
     slots = np.full(table, np.int32(-1))
     edges = np.empty((edge_count, 2), dtype=np.int32)
     of_triangle = np.empty((len(triangles), 3), dtype=np.int32)
@@ -165,9 +151,10 @@ def edges_of(triangles: np.ndarray, vertex_count: int, edge_count: int) -> tuple
             if u > v:
                 u, v = v, u
             mixed = (np.uint64(u) * np.uint64(vertex_count) + np.uint64(v)) * np.uint64(0x9E3779B97F4A7C15)
-            place = np.int64(mixed >> np.uint64(32)) & (table - 1)
+            place, tries = (u * near + np.int64(mixed >> np.uint64(54))) & (table - 1), 0
             while slots[place] >= 0 and (edges[slots[place], 0] != u or edges[slots[place], 1] != v):
-                place = (place + 1) & (table - 1)
+                tries += 1
+                place = (place + 1 if tries != 32 else np.int64(mixed >> np.uint64(32))) & (table - 1)
             if slots[place] < 0:
                 slots[place] = found
                 edges[found, 0], edges[found, 1] = u, v
@@ -183,64 +170,60 @@ def _apex(cells: np.ndarray, t: int, a: int, b: int, c: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _open_sign(
-    points: np.ndarray, a: int, b: int, c: int, i: int, cells: np.ndarray, sides: np.ndarray, ws: np.ndarray
-) -> float:
-    """Return a number with the right sign for the i-th test of `values` at triangle (a, b, c)."""
-    if i < 2:
-        return triangle_exact(points, a, b, c, _apex(cells, np.int64(sides[i]), a, b, c), ws)
-    if i == 2:
-        return edge_exact(points, b, c, a, ws)
-    if i == 3:
-        return edge_exact(points, c, a, b, ws)
-    return edge_exact(points, a, b, c, ws)
-
-
-@njit(cache=True, nogil=True)
 def values(
     points: np.ndarray,
     cells: np.ndarray,
     triangles: np.ndarray,
     sides: np.ndarray,
-    of_cell: np.ndarray,
     edges: np.ndarray,
     of_triangle: np.ndarray,
     ws: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the squared radii of cells (m,), triangles (k,) and edges (e,), float64, unit of `points`
-    squared.
-    """
+    """Return the squared radii of edges (e,), triangles (k,), cells (m,); float64, of the points' unit."""
     m, k, e = len(cells), len(triangles), len(edges)
     cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.full(e, np.inf)
     for t in range(m):
         a, b, c = np.int64(cells[t, 0]), np.int64(cells[t, 1]), np.int64(cells[t, 2])
-        cell_values[t] = tetrahedron_value(points, a, b, c, np.int64(cells[t, 3]), ws)
+        d = np.int64(cells[t, 3])
+        cell_values[t] = tetrahedron_filter(points, a, b, c, d)
+        if not cell_values[t] > 0.0:
+            cell_values[t] = flat_tetrahedron_value(points, a, b, c, d, -cell_values[t], ws)
     edge_gabriel = np.ones(e, dtype=np.bool_)
-    signs, bounds = np.empty(5), np.empty(5)
     for f in range(k):
         a, b, c = np.int64(triangles[f, 0]), np.int64(triangles[f, 1]), np.int64(triangles[f, 2])
-        inner, other = np.int64(sides[f, 0]), np.int64(sides[f, 1])
+        inner = np.int64(sides[f, 0])
+        outer = np.int64(sides[f, 1]) if sides[f, 1] >= 0 else inner
+        d, e = _apex(cells, inner, a, b, c), _apex(cells, outer, a, b, c)
         # All signs first: without a branch between them the processor overlaps them.
-        signs[0], bounds[0] = triangle_filter(points, a, b, c, _apex(cells, inner, a, b, c))
-        signs[1], bounds[1] = 1.0, 0.0  # no cell outside the hull: nothing is in the sphere
-        if other >= 0:
-            signs[1], bounds[1] = triangle_filter(points, a, b, c, _apex(cells, other, a, b, c))
-        signs[2], bounds[2] = edge_filter(points, b, c, a)
-        signs[3], bounds[3] = edge_filter(points, c, a, b)
-        signs[4], bounds[4] = edge_filter(points, a, b, c)
-        own = triangle_value(points, a, b, c, ws)
-        least = cell_values[inner] if other < 0 else min(cell_values[inner], cell_values[other])
-        for i in range(5):
-            if abs(signs[i]) <= bounds[i]:
-                signs[i] = _open_sign(points, a, b, c, i, cells, sides[f], ws)
-        value = min(own, least) if signs[0] >= 0.0 and signs[1] >= 0.0 else least
+        (in_d, d_bound), (in_e, e_bound) = (
+            triangle_filter(points, a, b, c, d),
+            triangle_filter(points, a, b, c, e),
+        )
+        (in_a, a_bound), (in_b, b_bound) = edge_filter(points, b, c, a), edge_filter(points, c, a, b)
+        in_c, c_bound = edge_filter(points, a, b, c)
+        unit, area, third = triangle_sides(points, a, b, c)
+        if abs(in_d) <= d_bound:
+            in_d = triangle_exact(points, a, b, c, d, ws)
+        if abs(in_e) <= e_bound:
+            in_e = triangle_exact(points, a, b, c, e, ws)
+        if abs(in_a) <= a_bound:
+            in_a = edge_exact(points, b, c, a, ws)
+        if abs(in_b) <= b_bound:
+            in_b = edge_exact(points, c, a, b, ws)
+        if abs(in_c) <= c_bound:
+            in_c = edge_exact(points, a, b, c, ws)
+        if area <= FLAT * FLAT * unit:
+            area = flat_triangle_area(points, a, b, c, unit, ws)
+        value = min(cell_values[inner], cell_values[outer])
+        if in_d >= 0.0 and in_e >= 0.0:
+            value = min(unit / area * third / 4.0, value)
         triangle_values[f] = value
         for i in range(3):
             edge = of_triangle[f, i]
-            edge_gabriel[edge] &= signs[2 + i] >= 0.0
+            edge_gabriel[edge] &= (in_a, in_b, in_c)[i] >= 0.0
             edge_values[edge] = min(edge_values[edge], value)
     _own_edge_values(points, edges, edge_gabriel, edge_values)
-    return cell_values, triangle_values, edge_values
+    return edge_values, triangle_values, cell_values
 
 
 @njit(cache=True, nogil=True)
@@ -257,7 +240,7 @@ def _own_edge_values(points: np.ndarray, edges: np.ndarray, gabriel: np.ndarray,
 def planar_values(
     points: np.ndarray, triangles: np.ndarray, edges: np.ndarray, of_triangle: np.ndarray, ws: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the squared radii of triangles (k,) and edges (e,) of a planar Delaunay triangulation, and the
+    """Return the squared radii of edges (e,) and triangles (k,) of a planar Delaunay triangulation, and the
     triangles beside each edge (e, 2) int32, -1 outside the hull.
     """
     k, e = len(triangles), len(edges)
@@ -265,7 +248,10 @@ def planar_values(
     gabriel, sides = np.ones(e, dtype=np.bool_), np.full((e, 2), np.int32(-1))
     for f in range(k):
         a, b, c = np.int64(triangles[f, 0]), np.int64(triangles[f, 1]), np.int64(triangles[f, 2])
-        triangle_values[f] = triangle_value(points, a, b, c, ws)
+        unit, area, third = triangle_sides(points, a, b, c)
+        if area <= FLAT * FLAT * unit:
+            area = flat_triangle_area(points, a, b, c, unit, ws)
+        triangle_values[f] = unit / area * third / 4.0
         for i in range(3):
             edge = of_triangle[f, i]
             sign, bound = edge_filter(points, b, c, a)
@@ -276,4 +262,4 @@ def planar_values(
             sides[edge, 0 if sides[edge, 0] < 0 else 1] = f
             a, b, c = b, c, a
     _own_edge_values(points, edges, gabriel, edge_values)
-    return triangle_values, edge_values, sides
+    return edge_values, triangle_values, sides

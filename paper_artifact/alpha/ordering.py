@@ -8,7 +8,7 @@ from paper_artifact.kernel_cache import njit
 
 ROUNDS = 5  # biased randomised rounds: the last holds half of the points, the one before a quarter, ...
 HILBERT_BITS = 16  # per axis
-DIGITS = 6  # of 11 bits, in a 64-bit sort key
+DIGIT, FIRST = 11, 3  # bits of a digit of a sort key, digits sorted by at first
 
 
 def normalised(points: np.ndarray) -> tuple[np.ndarray, int]:
@@ -30,33 +30,51 @@ def normalised(points: np.ndarray) -> tuple[np.ndarray, int]:
 def sort_keys(keys: np.ndarray) -> np.ndarray:
     """Return the stable increasing order (n,) int32 of (n,) uint64 `keys`.
 
-    A radix sort by DIGITS digits of 11 bits that leaves out constant ones.
+    A radix sort by the first FIRST digits of DIGIT bits in which keys differ, then insertions; by all digits
+    where keys that differ further behind would take many of those.
     """
     n = len(keys)
-    counts = np.zeros((DIGITS, 2048), dtype=np.int32)
+    differ = np.uint64(0)
     for i in range(n):
-        for digit in range(DIGITS):
-            counts[digit, (keys[i] >> np.uint64(11 * digit)) & np.uint64(2047)] += 1
+        differ |= keys[i] ^ keys[0]
+    top = 0  # bits up to the first that differs
+    while top < 64 and differ >> np.uint64(top):
+        top += 1
     order, other_order = np.arange(n).astype(np.int32), np.empty(n, dtype=np.int32)
     here, other = keys.copy(), np.empty(n, dtype=np.uint64)
-    for digit in range(DIGITS):
-        count = counts[digit]
-        shift = np.uint64(11 * digit)
-        if n == 0 or count[(keys[0] >> shift) & np.uint64(2047)] == n:
-            continue
-        total = 0
-        for value in range(2048):
-            size = count[value]
-            count[value] = total
-            total += size
-        for k in range(n):
-            value = (here[k] >> shift) & np.uint64(2047)
-            place = count[value]
-            count[value] += 1
-            other[place] = here[k]
-            other_order[place] = order[k]
-        here, other = other, here
-        order, other_order = other_order, order
+    counts = np.empty(1 << DIGIT, dtype=np.int32)
+    for first in (max(0, top - FIRST * DIGIT), 0):
+        for low in range(first, top, DIGIT):
+            shift, mask = np.uint64(low), np.uint64(len(counts) - 1)
+            for value in range(len(counts)):
+                counts[value] = 0
+            for k in range(n):
+                counts[(here[k] >> shift) & mask] += 1
+            total = 0
+            for value in range(len(counts)):
+                size = counts[value]
+                counts[value] = total
+                total += size
+            for k in range(n):
+                value = (here[k] >> shift) & mask
+                place = counts[value]
+                counts[value] += 1
+                other[place] = here[k]
+                other_order[place] = order[k]
+            here, other = other, here
+            order, other_order = other_order, order
+        moves = 0
+        for k in range(1, n):
+            key, name, place = here[k], order[k], k
+            while place > 0 and here[place - 1] > key:
+                here[place], order[place] = here[place - 1], order[place - 1]
+                place -= 1
+            here[place], order[place] = key, name
+            moves += k - place
+            if moves > 4 * n:
+                break
+        else:
+            return order
     return order
 
 

@@ -25,7 +25,6 @@ from paper_artifact.errors import InputError
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
 LARGEST = 2.0**1022  # of a coordinate: differences stay finite
 NOBODY = -1  # the vertices of a death that does not happen
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,6 @@ def of_each(function: Callable) -> Any:
 def alpha_persistence(
     points: Any,
     method: str = "fast",
-    progress: Progress | None = None,
     *,
     infinite: bool = False,
     squared: bool = False,
@@ -88,7 +86,6 @@ def alpha_persistence(
     points: (n, 3) or (n, 2) numbers, n >= 0, converted to float64; any unit; a tensor's gradient is ignored
     (`alpha_diagrams` follows it). Clouds in the plane have the dimensions 0 and 1. A batch (b, n, d) or a
     list of clouds is computed in threads and gives a list of such tuples. method: "fast" or "gudhi".
-    progress: called with the name of each of STAGES as it begins.
 
     Births and deaths are radii in the points' unit, or with `squared` their squares (gudhi's alpha²). A bar
     shorter than rounding (death² - birth² <= 1e-12 death²) counts as empty and is left out. The one connected
@@ -114,7 +111,7 @@ def alpha_persistence(
         raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
     order = np.arange(len(points)) if as_given else canonical_order(points)
     by: Callable = fast_persistence if method == "fast" else gudhi_persistence
-    found = by(points[order], progress=progress, top=top, squared=squared, names=order)
+    found = by(points[order], top=top, squared=squared, names=order)
     if infinite:
         found = (_with_the_first_component(found[0], points), *found[1:])
     limit = max_radius**2 if squared else max_radius
@@ -123,7 +120,16 @@ def alpha_persistence(
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """Return the order (n,) int64 of `points` (n, d) by their coordinates: the same for every permutation."""
-    return np.lexsort(points.T[::-1])
+    from paper_artifact.alpha.ordering import sort_keys  # compiled code: loaded only where it is used
+
+    bits = (points[:, 0] + 0.0).view(np.int64)  # of doubles: as integers they increase if not negative
+    order = sort_keys((bits ^ (bits >> 63 | np.int64(-(2**63)))).view(np.uint64)).astype(np.int64)
+    first = points[order, 0]
+    equal = np.zeros(len(points) + 1, dtype=bool)
+    equal[1:-1] = first[1:] == first[:-1]
+    tied = np.flatnonzero(equal[1:] | equal[:-1])
+    order[tied] = order[tied][np.lexsort(points[order[tied]].T[::-1])]
+    return order
 
 
 def check_points(points: Any) -> np.ndarray:
@@ -163,17 +169,15 @@ def check_points(points: Any) -> np.ndarray:
     return points
 
 
-def _stages(progress: Progress | None, clock: dict[str, float] | None) -> Progress:
-    """Return begin(stage): says which begins, and writes the CPU seconds of the one before into `clock`."""
+def _stages(clock: dict[str, float] | None) -> Callable[[str], None]:
+    """Return begin(stage), which writes the CPU seconds of the stage before into `clock`."""
     running: list[tuple[str, float]] = []
 
     def begin(stage: str) -> None:
+        now = time.process_time()
         if running and clock is not None:
-            before, since = running.pop()
-            clock[before] = time.process_time() - since
-        if progress is not None and stage:
-            progress(stage)
-        running.append((stage, time.process_time()))
+            clock[running[-1][0]] = now - running[-1][1]
+        running.append((stage, now))
 
     return begin
 
@@ -181,7 +185,6 @@ def _stages(progress: Progress | None, clock: dict[str, float] | None) -> Progre
 def fast_persistence(
     points: np.ndarray,
     clock: dict[str, float] | None = None,
-    progress: Progress | None = None,
     top: int = 2,
     squared: bool = False,
     names: np.ndarray | None = None,
@@ -193,15 +196,13 @@ def fast_persistence(
     """
     from paper_artifact.alpha import complex as alpha_complex  # compiled code: loaded only where it is used
 
-    begin = _stages(progress, clock)
+    begin = _stages(clock)
     made = alpha_complex.build(_in_space(points), begin)
     begin("reduction")
-    rows = alpha_complex.squared_pairs(made, top)
-    begin("pairs")
     called = made.names if names is None else names[made.names].astype(np.int32)
-    exponent = made.exponent
-    del made  # what is left of its arrays
-    found = [_pairs(alpha_complex.sorted_rows(each, called), exponent, squared) for each in rows]
+    bars = alpha_complex.squared_bars(made, top, called)
+    begin("pairs")
+    found = [_pairs(each, made.exponent, squared) for each in bars]
     found += [_empty(dimension) for dimension in range(len(found), top + 1)]
     begin("")
     return tuple(found)
@@ -211,7 +212,6 @@ def gudhi_persistence(
     points: np.ndarray,
     clock: dict[str, float] | None = None,
     precision: str = "safe",
-    progress: Progress | None = None,
     top: int = 2,
     squared: bool = False,
     names: np.ndarray | None = None,
@@ -224,9 +224,9 @@ def gudhi_persistence(
     """
     import gudhi  # the oracle: only when asked for
 
-    from paper_artifact.alpha.complex import sorted_rows
+    from paper_artifact.alpha.complex import lasting, named
 
-    begin = _stages(progress, clock)
+    begin = _stages(clock)
     begin("delaunay")
     complex_ = gudhi.AlphaComplex(points=points, precision=precision)
     begin("filtration")
@@ -244,12 +244,10 @@ def gudhi_persistence(
     for dimension, each in enumerate(rows[: top + 1]):
         births, deaths, *simplices = zip(*each, strict=True) if each else ((), (), (), ())
         ends = np.array(births, dtype=float), np.array(deaths, dtype=float)
-        width = (dimension + 1, dimension + 2)
-        born, died = (
-            np.array(each, dtype=np.int32).reshape(-1, corners)
-            for each, corners in zip(simplices, width, strict=True)
-        )
-        found.append(_pairs(sorted_rows((*ends, born, died), called), 0, squared))
+        keep = lasting(*ends)
+        corners = (np.array(simplices[i], np.int32).reshape(-1, dimension + 1 + i)[keep] for i in (0, 1))
+        bars = ends[0][keep], ends[1][keep], *(named(each, called) for each in corners)
+        found.append(_pairs(bars, 0, squared))
     begin("")
     return tuple(found)
 
@@ -311,18 +309,12 @@ def alpha_filtration(points: Any) -> Filtration:
     order = canonical_order(points)
     made = alpha_complex.build(_in_space(points[order]), lambda stage: None)
     names = order[made.names].astype(np.int32)
-    vertices = np.unique(made.edges) if len(made.edges) else np.arange(min(1, len(points)))
-    parts = [
-        (vertices.astype(np.int32)[:, None], np.zeros(len(vertices))),
-        (made.edges, made.edge_values),
-        (made.triangles, made.triangle_values),
-        (made.cells, made.cell_values),
-    ][: points.shape[1] + 1]
-    simplices = tuple(
-        alpha_complex.named(each, np.arange(len(each), dtype=np.int32), names) for each, _ in parts
-    )
+    vertices, edges = made.simplices[:2]
+    made.simplices[0] = np.unique(edges)[:, None] if len(edges) else vertices[:1]  # without duplicates
+    made.values[0] = np.zeros(len(made.simplices[0]))
+    simplices = tuple(alpha_complex.named(each, names) for each in made.simplices[: points.shape[1] + 1])
     with np.errstate(over="ignore"):  # of a nearly flat simplex near LARGEST
-        radii = tuple(np.ldexp(np.sqrt(values), made.exponent) for _, values in parts)
+        radii = tuple(np.ldexp(np.sqrt(values), made.exponent) for values in made.values[: len(simplices)])
     ends = points[simplices[1]]
     return Filtration(simplices, radii, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 

@@ -103,13 +103,9 @@ def orient3d(points: np.ndarray, a: int, b: int, c: int, d: int, ws: np.ndarray)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def insphere_filter(points: np.ndarray, a: int, b: int, c: int, d: int, e: int) -> tuple[float, float]:
-    """Return the in-sphere determinant in float64 and a bound of its error."""
-    ex, ey, ez = points[e, 0], points[e, 1], points[e, 2]
-    aex, aey, aez = points[a, 0] - ex, points[a, 1] - ey, points[a, 2] - ez
-    bex, bey, bez = points[b, 0] - ex, points[b, 1] - ey, points[b, 2] - ez
-    cex, cey, cez = points[c, 0] - ex, points[c, 1] - ey, points[c, 2] - ez
-    dex, dey, dez = points[d, 0] - ex, points[d, 1] - ey, points[d, 2] - ez
+def insphere_of(differences: tuple) -> tuple[float, float]:
+    """Return insphere_filter's numbers for a-e, b-e, c-e and d-e: 12 floats, x, y, z of each in turn."""
+    aex, aey, aez, bex, bey, bez, cex, cey, cez, dex, dey, dez = differences
     ab, bc, cd = aex * bey - bex * aey, bex * cey - cex * bey, cex * dey - dex * cey
     da, ac, bd = dex * aey - aex * dey, aex * cey - cex * aey, bex * dey - dex * bey
     abc = aez * bc - bez * ac + cez * ab
@@ -127,16 +123,34 @@ def insphere_filter(points: np.ndarray, a: int, b: int, c: int, d: int, e: int) 
     return det, INSPHERE_BOUND * mx * my * mz * max(max(alift, blift), max(clift, dlift))
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def insphere_filter(points: np.ndarray, a: int, b: int, c: int, d: int, e: int) -> tuple[float, float]:
+    """Return the in-sphere determinant in float64 and a bound of its error."""
+    x, y, z = points[e, 0], points[e, 1], points[e, 2]
+    return insphere_of(
+        (
+            *(points[a, 0] - x, points[a, 1] - y, points[a, 2] - z),
+            *(points[b, 0] - x, points[b, 1] - y, points[b, 2] - z),
+            *(points[c, 0] - x, points[c, 1] - y, points[c, 2] - z),
+            *(points[d, 0] - x, points[d, 1] - y, points[d, 2] - z),
+        )
+    )
+
+
+@njit(cache=True, nogil=True)
+def _resolved(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, bound: float, ws: np.ndarray) -> float:
+    """Return a formula's value in double-doubles if it exceeds `bound`, else by expansions."""
+    values = np.empty((3 * len(rows) - 3 + len(steps), 2))
+    value = evaluate(points, rows, steps, values)
+    return value if abs(value) > bound else exact(points, rows, steps, ws, values)
+
+
 @njit(cache=True, nogil=True)
 def insphere_exact(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.ndarray) -> float:
     """Return what insphere does, by double-doubles or, where they leave it open, by expansions."""
     _, bound = insphere_filter(points, a, b, c, d, e)
-    rows = np.array([a, b, c, d, e])
-    values = np.empty((12 + len(INSPHERE), 2))
-    det = evaluate(points, rows, INSPHERE, values)
-    if abs(det) > DD_BOUND * INSPHERE_UNITS / INSPHERE_BOUND * bound:
-        return det
-    return exact(points, rows, INSPHERE, ws, values)
+    open_ = DD_BOUND * INSPHERE_UNITS / INSPHERE_BOUND * bound
+    return _resolved(points, np.array([a, b, c, d, e]), INSPHERE, open_, ws)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -187,9 +201,4 @@ def triangle_filter(points: np.ndarray, b: int, c: int, d: int, a: int) -> tuple
 def triangle_exact(points: np.ndarray, b: int, c: int, d: int, a: int, ws: np.ndarray) -> float:
     """Return a number with the sign of the Gabriel value, by double-doubles or, if open still, expansions."""
     _, bound = triangle_filter(points, b, c, d, a)
-    rows = np.array([a, c, d, b])
-    values = np.empty((9 + len(TRIANGLE), 2))
-    value = evaluate(points, rows, TRIANGLE, values)
-    if abs(value) > DD_BOUND / GABRIEL_BOUND * bound:
-        return value
-    return exact(points, rows, TRIANGLE, ws, values)
+    return _resolved(points, np.array([a, c, d, b]), TRIANGLE, DD_BOUND / GABRIEL_BOUND * bound, ws)

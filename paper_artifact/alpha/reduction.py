@@ -43,9 +43,7 @@ def _later(i: int, i_value: float, j: int, j_value: float) -> tuple[int, float]:
 
 
 @njit(cache=True, nogil=True)
-def apparent_voids(
-    cell_values: np.ndarray, triangle_values: np.ndarray, of_cell: np.ndarray, sides: np.ndarray
-) -> tuple:
+def apparent_voids(cell_values: np.ndarray, triangle_values: np.ndarray, sides: np.ndarray) -> tuple:
     """Take out the empty pairs of a triangle and a cell; return (state, parents).
 
     state (k,) int8 of each triangle; parents (m+1,) int32: the cell, or m for the outside, that a cell so
@@ -54,11 +52,14 @@ def apparent_voids(
     m = len(cell_values)
     state = np.zeros(len(sides), dtype=np.int8)
     parents = np.arange(m + 1).astype(np.int32)
+    latest_of = np.full(m, np.int32(-1))
+    for f in range(len(sides)):
+        for t in sides[f]:
+            if t >= 0 and (latest_of[t] < 0 or triangle_values[f] >= triangle_values[latest_of[t]]):
+                latest_of[t] = f
     for t in range(m):
-        latest, value = of_cell[t, 0], triangle_values[of_cell[t, 0]]
-        for i in range(1, 4):
-            latest, value = _later(latest, value, of_cell[t, i], triangle_values[of_cell[t, i]])
-        if value != cell_values[t]:
+        latest = latest_of[t]
+        if triangle_values[latest] != cell_values[t]:
             continue
         other = sides[latest, 0] if sides[latest, 1] == t else sides[latest, 1]
         if other < 0:
@@ -96,39 +97,36 @@ def apparent_loops(
 
 
 @njit(cache=True, nogil=True)
-def components(
-    edges: np.ndarray, order: np.ndarray, vertex_count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def components(ends: np.ndarray, order: np.ndarray, vertex_count: int, edge_count: int) -> tuple:
     """Return H0: (vertex (r,) that is merged away, edge (r,) that merges it, merges (e,) bool of each edge).
 
-    Of two components the one whose first vertex has the larger index ends. order: the edges by value.
+    Of two components the one whose first vertex has the larger index ends. order (k,): edges by value, all
+    that may merge; ends (k, 2): their vertices.
     """
     parents = np.arange(vertex_count).astype(np.int32)
-    merges = np.zeros(len(edges), dtype=np.bool_)
+    merges = np.zeros(edge_count, dtype=np.bool_)
     births, deaths = np.empty(vertex_count, dtype=np.int32), np.empty(vertex_count, dtype=np.int32)
     count = 0
-    for edge in order:
-        u, v = _root(parents, edges[edge, 0]), _root(parents, edges[edge, 1])
-        if u == v:
-            continue
-        if u > v:
-            u, v = v, u
-        parents[v] = u
-        merges[edge] = True
-        births[count], deaths[count] = v, edge
-        count += 1
+    for k in range(len(order)):
+        u, v = _root(parents, ends[k, 0]), _root(parents, ends[k, 1])
+        if u != v:
+            u, v = min(u, v), max(u, v)
+            parents[v] = u
+            merges[order[k]] = True
+            births[count], deaths[count] = v, order[k]
+            count += 1
     return births[:count], deaths[:count], merges
 
 
 @njit(cache=True, nogil=True)
 def voids(
-    sides: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray
+    ends: np.ndarray, order: np.ndarray, cell_values: np.ndarray, parents: np.ndarray, state: np.ndarray
 ) -> tuple:
     """Return H2: (triangle (r,) that closes a void, cell (r,) that fills it), without the apparent pairs.
 
-    The state of those triangles becomes CLOSES, IN PLACE. sides: (k, 2) cells of each triangle, -1 outside;
-    `order`: the open triangles in increasing value; parents: of apparent_voids. Backwards in the filtration
-    the triangles join the cells, and the void whose last cell comes earlier ends.
+    The state of those triangles becomes CLOSES, IN PLACE. order (k,): the open triangles by value;
+    ends (k, 2): their cells, -1 outside; parents: of apparent_voids. Backwards in the filtration triangles
+    join the cells, and the void whose last cell comes earlier ends.
     """
     outside = np.int32(len(cell_values))
     sizes = np.ones(outside + 1, dtype=np.int32)
@@ -137,11 +135,8 @@ def voids(
     births, deaths = np.empty(len(order), dtype=np.int32), np.empty(len(order), dtype=np.int32)
     count = 0
     for place in range(len(order) - 1, -1, -1):
-        triangle = order[place]
-        other = sides[triangle, 1]
-        if other < 0:
-            other = outside
-        u, v = _root(parents, sides[triangle, 0]), _root(parents, other)
+        other = ends[place, 1] if ends[place, 1] >= 0 else outside
+        u, v = _root(parents, ends[place, 0]), _root(parents, other)
         if u == v:
             continue
         lower, higher = tops[u], tops[v]
@@ -154,8 +149,8 @@ def voids(
         parents[v] = u
         sizes[u] += sizes[v]
         tops[u] = higher
-        state[triangle] = CLOSES
-        births[count], deaths[count] = triangle, lower
+        state[order[place]] = CLOSES
+        births[count], deaths[count] = order[place], lower
         count += 1
     return births[:count], deaths[:count]
 
@@ -261,59 +256,57 @@ def loops(
     starts = np.zeros(rows, dtype=np.int64)  # of the kept column of a pivot row; its size 0: there is none
     sizes = np.zeros(rows, dtype=np.int32)
     births = np.empty(count, dtype=np.int32)
-    kept, used = np.empty(4 * rows + 1024, dtype=np.int32), 0
+    kept, used = (
+        np.empty(4 * rows + 1024, dtype=np.int32),
+        3,
+    )  # the first three: an apparent triangle's column
     tree, levels = _bit_tree(rows)
-    column, result = np.empty(SHORT, dtype=np.int32), np.empty(SHORT, dtype=np.int32)
-    face = np.empty(3, dtype=np.int32)
+    # The column and room for a sum with it: halves of one array, for numba counts references to arrays that
+    # change their names, with a memory fence each time.
+    column, here, there = np.empty(2 * SHORT, dtype=np.int32), 0, SHORT
     for k in range(count):
         size = 0
         for i in range(3):
             row, place = columns[k, i], size
             if row >= 0:
-                while place > 0 and column[place - 1] < row:
-                    column[place] = column[place - 1]
+                while place > 0 and column[here + place - 1] < row:
+                    column[here + place] = column[here + place - 1]
                     place -= 1
-                column[place] = row
+                column[here + place] = row
                 size += 1
         long = False
         while True:
-            pivot = np.int64(column[0])
+            pivot = np.int64(column[here])
             one, two = others[pivot, 0], others[pivot, 1]
             if one != NOTHING:
-                face[0], face[1], face[2] = pivot, max(one, two), min(one, two)
-                addend, first, end = face, 0, 1 + (one >= 0) + (two >= 0)
+                kept[0], kept[1], kept[2] = pivot, max(one, two), min(one, two)
+                first, end = 0, 1 + (one >= 0) + (two >= 0)
             elif sizes[pivot] > 0:
-                addend, first, end = kept, starts[pivot], starts[pivot] + sizes[pivot]
+                first, end = starts[pivot], starts[pivot] + sizes[pivot]
             else:
                 break
             if size + end - first > SHORT:
                 long = True
                 break
-            i, total = 0, 0
-            while i < size and first < end:
-                ours, theirs = column[i], addend[first]
-                if ours > theirs:
-                    result[total] = ours
-                    total += 1
-                    i += 1
-                elif theirs > ours:
-                    result[total] = theirs
-                    total += 1
-                    first += 1
-                else:
-                    i += 1
-                    first += 1
-            for rest in range(i, size):
-                result[total] = column[rest]
-                total += 1
+            i, last, to = here, here + size, there
+            while i < last and first < end:
+                ours, theirs = column[i], kept[first]
+                if ours != theirs:
+                    column[to] = max(ours, theirs)
+                    to += 1
+                i += ours >= theirs
+                first += theirs >= ours
+            for rest in range(i, last):
+                column[to] = column[rest]
+                to += 1
             for rest in range(first, end):
-                result[total] = addend[rest]
-                total += 1
-            column, result = result, column
-            size = total
+                column[to] = kept[rest]
+                to += 1
+            size = to - there
+            here, there = there, here
         if long:
             for i in range(size):
-                _flip(tree, levels, np.int64(column[i]))
+                _flip(tree, levels, np.int64(column[here + i]))
         while long:
             pivot = _last(tree, levels)
             left, right = np.int64(others[pivot, 0]), np.int64(others[pivot, 1])
@@ -341,7 +334,7 @@ def loops(
                 used += 1
         else:
             for i in range(size):
-                kept[used] = column[i]
+                kept[used] = column[here + i]
                 used += 1
         sizes[pivot] = used - starts[pivot]
         births[k] = edge_at[pivot]
