@@ -3,7 +3,10 @@
 `pytest -m faults` runs these and the other tests of the kind. By hand, being slow or in need of a machine's
 help: `book` while `run-all` runs; `photos` ended by SIGKILL and by SIGINT while it maps, and started again;
 an ordinary user in a read-only checkout; a clock that jumps back; a locale with a decimal comma; a full pipe
-that nobody reads (the command waits, and ends with its reader).
+that nobody reads (the command waits, and ends with its reader or with Ctrl-C, exit code 1); `sweep` twice at
+once, by the verb (each run is trained once; tests/test_train_resume.py has two runs); 240 builds of scenes by
+four processes (`python -m tests.test_files 240`); 20 runs of `photos` in a row; a folder of other people's
+cases (`python -m tests.cases FOLDER`).
 """
 
 from __future__ import annotations
