@@ -38,7 +38,6 @@ from paper_artifact.study.studies import STUDIES
 PUBLISHED = REPOSITORY / "results" / "published"  # committed, also where runs are written elsewhere
 MEASURED = REPOSITORY / "results" / "measured"  # one CSV per script of data_scripts/measure
 RETRAINED = RESULTS / "retrained"  # the profile "full" writes here
-TAIL_DUMPS = 3  # the dumps whose mean is a tail: at 2,500 steps those of steps 2300, 2400, 2500
 
 Frames = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame]
 
@@ -51,14 +50,14 @@ class Results:
     (judged), group; every setting of the run (steps, budget, views …), of its loss with the prefix loss_
     (loss_rho, loss_samples …) and of its allocation prior with the prefix allocation_; NaN where a run has no
     such part. Results: tail (mean bottleneck distance to the target in the judged dimension over the last
-    TAIL_DUMPS dumps) and tail_h0 … tail_h2; chamfer (mean of both directions, last dumps), hausdorff95; count
-    (significant bars at the end in the judged dimension; the infinite component is not counted) and count_h0
-    … count_h2; expected (the count of the shape's target bundle in the judged dimension, else of the mesh's
-    Betti numbers; NaN where neither is known); psnr (dB) and ssim over the held-out views; triangles. The
-    loss: lambda_peak, photo_norm, topo_norm (calibration); bundle_h0 … bundle_h2 (the target's bars (k,2));
-    statement (stated Betti numbers); events (list of the topology log's other entries). Ground truth:
-    diagonal (world units), floor, betti_h0 … betti_h2. Machine: cpu, cpu_seconds, seconds_* by stage (wall
-    time), peak_memory_mib.
+    three dumps: steps 2300, 2400, 2500 of 2,500) and tail_h0 … tail_h2; chamfer (mean of both directions,
+    last dumps), hausdorff95; count (significant bars at the end in the judged dimension; the infinite
+    component is not counted) and count_h0 … count_h2; expected (the count of the shape's target bundle in the
+    judged dimension, else of the mesh's Betti numbers; NaN where neither is known); psnr (dB) and ssim over
+    the held-out views; triangles. The loss: lambda_peak, photo_norm, topo_norm (calibration); bundle_h0 …
+    bundle_h2 (the target's bars (k,2)); statement (stated Betti numbers); events (list of the topology log's
+    other entries). Ground truth: diagonal (world units), floor, betti_h0 … betti_h2. Machine: cpu,
+    cpu_seconds, seconds_* by stage (wall time), peak_memory_mib.
 
     dumps, one row per evaluation during training: run, shape, condition, seed, step, bottleneck and count
     (judged dimension), bottleneck_h0 …, count_h0 …, bars_h0 … (arrays (k,2) of births and deaths; the
