@@ -95,10 +95,12 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
         "--quiet",
     ]
     assert main([*words, "--views", "7", "--points", "60"]) == 0
-    assert "7 views of at most 400 pixels (1 held out), 60 points (hull)" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "7 views of at most 400 pixels (1 held out), 60 points (hull)" in told and "nothing ran" not in told
     written = (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns
     assert main([*words, "--views", "7", "--points", "60"]) == 0
     assert (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns == written
+    assert "nothing ran: this scene is there already" in capsys.readouterr().out
     assert main([*words, "--views", "8"]) == 1 and "holds a scene of other images" in capsys.readouterr().err
     assert main([*words, "--supersample", "2"]) == 2 and "no meaning for images" in capsys.readouterr().err
     assert main(["scene", "--shape", "torus", "--cloud", "hull", "--out", str(tmp_path / "t")]) == 2

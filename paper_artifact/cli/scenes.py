@@ -191,6 +191,7 @@ def scene(options: Scene) -> int:
         raise WrongUsage(f"--{wrong} has no meaning for {'images' if options.transforms else 'a surface'}")
     with usage_checked():
         config = SceneConfig(**given) if options.transforms is None else TransformsConfig(**given)
+    before = _written(options.out)
     if isinstance(config, TransformsConfig):
         folder = transforms_scene(
             Path(options.transforms or ""), options.out, config, progress=not options.quiet
@@ -207,6 +208,14 @@ def scene(options: Scene) -> int:
             f"{config.size}×{config.size} pixels"
         )
         points = f"{config.points} SfM points"
+    if before is not None and before == _written(folder):
+        print("nothing ran: this scene is there already")
     print(f"{folder}: {what} ({len(range(0, views, EVERY))} held out), {points}")
     print(next_command("train", "--scene", folder))
     return 0
+
+
+def _written(folder: Path) -> int | None:
+    """Return when a scene's description was written (ns), None where there is none."""
+    file = folder / "scene.json"
+    return file.stat().st_mtime_ns if file.is_file() else None
