@@ -189,11 +189,12 @@ def _zipped(path: Path, welded: bool) -> Mesh:
                 name
                 for name in archive.namelist()
                 if Path(name).suffix.lower()[1:] in READERS and not name.startswith("__MACOSX/")
+                if not name.endswith("/")
             ]
             if len(names) != 1:
                 raise InputError(f"{path} holds {len(names)} meshes; unpack it and name one of them")
             archive.extractall(folder)
-            return load_mesh(Path(folder) / names[0], welded)
+            return load_mesh(archive.extract(names[0], folder), welded)  # as it was named here
     except InputError as error:
         raise InputError(str(error).replace(f"{folder}/", f"{path}: ")) from error
     except (RuntimeError, NotImplementedError) as error:  # zipfile's for a password, and for a compression

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import Any
 
@@ -55,6 +56,7 @@ FACETS = "".join(
     for face in FACES
 )
 STL_TEXT = f"solid unit cube\n{FACETS}endsolid unit cube\n".replace(" 1\n", " 1e+00\n")
+UNEVEN = re.sub(r"( endloop\n.*\n.*\n.*\n)(  vertex.*\n)", r"\2\1", STL_TEXT, count=1)
 OFF = "8 12 0\n" + lines(POINTS) + lines(FACES, "3 ")
 SLASHES = OBJ.replace("\nf", "\nvt 0 0\nvn 0 0 1\nf", 1).replace("f 1 ", "f 1/1/1 ")
 COLOURED = ply(
@@ -112,6 +114,7 @@ FILES: dict[str, dict[str, Any]] = {
         "points alone": (ply(faces=[]), "has no triangles"),
         "text cut off": (ply()[:-30], "cut off"),
         "binary cut off": (ply("binary_little_endian", data=binary("<")[:-3]), "cut off"),
+        "text, 0.5 for an index": (ply().replace(b"\n3 0 ", b"\n3 0.5 ", 1), "0.5 is no whole number"),
         "more numbers than declared": (ply(end="3 0 1 2\n"), "4 numbers more than it declares"),
     },
     "STL": {
@@ -124,6 +127,8 @@ FILES: dict[str, dict[str, Any]] = {
         "text, capitals, tabs, Windows line ends": STL_TEXT.upper().replace(" ", "\t").replace("\n", "\r\n"),
         "text, several solids": STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1),
         "text cut off": (STL_TEXT[:-60], "cut off before its 'endsolid'"),
+        "binary whose header names solids and facets": stl(head=b"solid of facets", end=b"\0\0"),
+        "text, four vertices in one facet and two in the next": (UNEVEN, "not three for each"),
         "text cut off in its second solid": (f"{STL_TEXT}solid b\n{FACETS}", "cut off before its 'endsolid'"),
     },
     "OFF": {

@@ -250,3 +250,13 @@ def test_a_bit_that_flipped_in_the_ground_truth_is_refused(place, scene):
     file.write_bytes(data)
     with pytest.raises(InputError, match="ground_truth.npz is damaged"):
         load_ground_truth(folder)
+
+
+def test_a_zip_opens_nothing_outside_of_it(tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.obj")
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.obj")
+    for name in (str(tmp_path / "ball.obj"), "../ball.obj"):
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            archive.writestr("parts.obj/", "")
+            archive.writestr(name, (tmp_path / "box.obj").read_bytes())
+        assert len(load_mesh(tmp_path / "a.zip").faces) == 12

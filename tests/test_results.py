@@ -56,7 +56,7 @@ def test_a_run_s_rows_are_its_record_s(tables, shape, condition):
     row = tables.runs.query("shape == @shape and condition == @condition").iloc[0]
     record = read_record(tables.folder / f"{row['run']}.json")
     tails, dimension = record["tails"], record["mesh"]["dimension"]
-    last = [dump["bottleneck"][dimension] for dump in record["dumps"][-TAIL_DUMPS :]]
+    last = [dump["bottleneck"][dimension] for dump in record["dumps"][-TAIL_DUMPS:]]
     assert row["tail"] == pytest.approx(tails["bottleneck"][dimension], rel=1e-6)
     assert row["tail"] == pytest.approx(np.mean(last), rel=1e-6)
     assert [row[f"count_h{d}"] for d in range(3)] == tails["counts"]

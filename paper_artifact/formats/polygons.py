@@ -21,9 +21,7 @@ NOT_POLYGONS = {"surf": "free-form surfaces", "bsp": "patches", "bzp": "patches"
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
-BENT = (
-    1e-3  # of a polygon's length: beyond this distance from a plane it is too bent to be said to cross itself
-)
+BENT = 1e-3  # of a polygon's length: farther from a plane it is too bent to be said to cross itself
 FLAT = 1e-9  # of a polygon's area: what a triangle may be wound the wrong way by rounding
 
 
@@ -32,11 +30,11 @@ def read_obj(data: bytes) -> Triangles:
     points: list[list[float]] = []
     corners: list[str] = []
     sizes: list[int] = []
-    known: list[
-        int
-    ] = []  # how many points the file has when it names a face: negative indices count from there
+    known: list[int] = []  # points before a face: negative indices count from there
     text = re.sub(r"#[^\n]*", "", decoded(data))  # before lines are joined: it may end in a backslash
-    for number, line in enumerate(text.replace("\\\n", " ").split("\n"), start=1):
+    number = 0  # of the line
+    for line in text.replace("\\\n", " \v").split("\n"):  # \v, a blank: here the file had another line
+        number += 1 + line.count("\v")
         keyword, *words = line.split() or ("",)
         keyword = keyword.lower()
         if keyword == "v":
@@ -102,16 +100,15 @@ def read_stl(data: bytes) -> Triangles:
     """Return the triangles of an STL file, text or binary; each has its own three points."""
     count = int.from_bytes(data[80:84], "little")
     named = data.lstrip(b"\xef\xbb\xbf \t\r\n")[:5].lower() == b"solid"
-    if len(data) != 84 + 50 * count and named and (b"facet" in data.lower() or len(data) < 84):
-        text = decoded(data)
-        facets, ends, solids, whole_solids = (
-            len(re.findall(rf"^\s*{word}\b", text, re.MULTILINE | re.IGNORECASE))
-            for word in ("facet", "endfacet", "solid", "endsolid")
-        )
-        vertices = re.findall(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", text, re.MULTILINE | re.IGNORECASE)
-        if whole_solids < solids or ends != facets:
+    text = b"" if len(data) == 84 + 50 * count or b"\0" in data else data
+    if named and (b"facet" in text.lower() or len(data) < 84):
+        pattern = r"^\s*(?:((?:end)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
+        found = re.findall(pattern, decoded(text), re.MULTILINE | re.IGNORECASE)
+        words = [word.lower() or "vertex" for word, *_ in found]
+        facets, vertices = words.count("facet"), [each for word, *each in found if not word]
+        if words.count("endsolid") < max(1, words.count("solid")) or words.count("endfacet") != facets:
             raise ValueError("cut off before its 'endsolid'")
-        if len(vertices) != 3 * facets:
+        if [word for word in words if "solid" not in word] != ["facet", *["vertex"] * 3, "endfacet"] * facets:
             raise ValueError(f"it has {facets} facets with {len(vertices)} vertices, not three for each")
         points = np.array([_reals(each) for each in vertices]).reshape(-1, 3)
     else:
@@ -197,6 +194,9 @@ class _Words:
         if end > len(self.words):
             raise ValueError("cut off: it holds fewer numbers than it declares")
         table = self.words[self.place : end].reshape(count, len(kinds))
+        whole_ones = table[:, [kind[0] in "iu" for kind in kinds]]
+        if (whole_ones != np.rint(whole_ones)).any():
+            raise ValueError(f"{whole_ones[whole_ones != np.rint(whole_ones)][0]:g} is no whole number")
         self.place = end
         return list(table.T)
 
