@@ -15,9 +15,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from paper_artifact.alpha.persistence import Pairs as Pairs
-from paper_artifact.alpha.persistence import alpha_filtration as alpha_filtration
-from paper_artifact.alpha.persistence import alpha_persistence as alpha_persistence
+from paper_artifact.alpha.persistence import Pairs, alpha_filtration, alpha_persistence
 from paper_artifact.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,13 +9,13 @@ The compiled code is kept beside the modules (`kernel_cache`), about 12 s of CPU
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from paper_artifact.alpha import delaunay, filtration, ordering, reduction
-from paper_artifact.alpha.expansions import WORKSPACE
 from paper_artifact.kernel_cache import njit
 
 # Two squared radii closer than this, relative to the larger, are one value: rounding is about 1e-15.
@@ -37,9 +37,10 @@ class Complex:
 
 
 def build(points: np.ndarray, begin: Stage) -> Complex:
-    """Return the alpha complex of `points` (n,3) float64, finite. begin: called with each stage's name."""
+    """Return the alpha complex of `points` (n,3) or (n,2) float64, finite. begin: called with each stage."""
     begin("delaunay")
     n = len(points)
+    points = points if points.shape[1] == 3 else np.column_stack([points, np.zeros(n)])
     scaled, exponent = ordering.normalised(points)
     places = ordering.hilbert_indices(scaled) if n else np.zeros(0, dtype=np.uint64)
     order = ordering.insertion_order(places)
@@ -57,25 +58,22 @@ def build(points: np.ndarray, begin: Stage) -> Complex:
     cloud, names = np.ascontiguousarray(ordered[along[:n]]), order[along[:n]]
     del scaled, ordered, mesh, rank, along  # the largest arrays: a million points need their room
     begin("filtration")
-    ws = np.empty(WORKSPACE)
     if found == 3:
         triangles = np.ascontiguousarray(cells[cells != n].reshape(-1, 3))
         cells = np.zeros((0, 4), dtype=np.int32)
         of_triangle, edges = filtration.edges_of(triangles, n, distinct - 1 + len(triangles) - 1)  # a disc
-        *values, sides = filtration.planar_values(cloud, triangles, edges, of_triangle, ws)
+        *values, sides = filtration.planar_values(cloud, triangles, edges, of_triangle)
         values.append(np.zeros(0))
     else:
         triangles, sides = filtration.faces(cells, neighbours)
         del neighbours
         edge_count = distinct + len(triangles) - len(cells) - 1  # a ball
         of_triangle, edges = filtration.edges_of(triangles, n, edge_count)
-        values = filtration.values(cloud, cells, triangles, sides, edges, of_triangle, ws)
-    return _complex(exponent, names, [edges, triangles, cells], values, of_triangle, sides)
+        values = filtration.values(cloud, (edges, triangles, cells), of_triangle, sides)
+    return _complex(exponent, names, (edges, triangles, cells), values, of_triangle, sides)
 
 
-def _complex(
-    exponent: int, names: np.ndarray, simplices: list, values: Iterable, *incidences: np.ndarray
-) -> Complex:
+def _complex(exponent: int, names: np.ndarray, simplices: tuple, values: Any, *incidences: Any) -> Complex:
     """Return the Complex with its vertices, given all else."""
     vertices = np.arange(len(names), dtype=np.int32)[:, None]
     return Complex(exponent, names, [vertices, *simplices], [np.zeros(len(names)), *values], *incidences)
@@ -102,17 +100,15 @@ def _on_a_line(ordered: np.ndarray, order: np.ndarray, exponent: int, begin: Sta
     begin("filtration")
     x, y, z = (points[places[1:]] - points[places[:-1]]).T
     edges = np.column_stack([places[:-1], places[1:]])
-    values = (x * x + y * y + z * z) / 4.0
     two, three, four = (np.zeros((0, columns), dtype=np.int32) for columns in (2, 3, 4))
-    values = [values, np.zeros(0), np.zeros(0)]
-    return _complex(exponent, order[along], [edges, three, four], values, three, two)
+    values = (x * x + y * y + z * z) / 4.0, np.zeros(0), np.zeros(0)
+    return _complex(exponent, order[along], (edges, three, four), values, three, two)
 
 
 def squared_bars(made: Complex, top: int, names: np.ndarray) -> list[Bars]:
     """Return the bars of dimensions 0 to `top` (at most 2); none above a flat cloud's own dimension.
 
-    names (n,) int32: what the simplices call the vertices. The complex is used up: a million points need the
-    room of what is done with.
+    names (n,) int32: of the vertices, in the bars. The complex is used up: a million points need the room.
     """
     solid = top > 0 and len(made.simplices[3]) > 0
     made.simplices[2] = np.zeros((0, 3), dtype=np.int32)
@@ -130,14 +126,14 @@ def squared_bars(made: Complex, top: int, names: np.ndarray) -> list[Bars]:
     *pairs, merges = reduction.components(made.simplices[1][pairs], pairs, len(made.names), len(order))
     found = [_bars(made, 0, pairs, names)]
     if solid:
-        pairs = reduction.loops(made.of_triangle, left, state, order, merges, apparent)
+        left = left[state[left] != reduction.CLOSES]
+        order = order[~merges[order]]
+        pairs = reduction.loops(made.of_triangle, left, order, apparent)
         del left, state, order, merges, apparent
         found += [_bars(made, 1, pairs, names), voids]
     elif top > 0 and len(made.values[2]):  # in a plane, edges that close a loop and triangles are dual to H0
-        parents, state = (
-            np.arange(len(made.values[2]) + 1, dtype=np.int32),
-            np.zeros(len(order), dtype=np.int8),
-        )
+        parents = np.arange(len(made.values[2]) + 1, dtype=np.int32)
+        state = np.zeros(len(order), dtype=np.int8)
         pairs = reduction.voids(made.sides[order], order, made.values[2], parents, state)
         found.append(_bars(made, 1, pairs, names))
     return found[: top + 1]
@@ -149,10 +145,8 @@ def _bars(made: Complex, dimension: int, pairs: Sequence[np.ndarray], names: np.
     keep = lasting(births, deaths)
     simplices = []
     for at, rows in enumerate(pairs, dimension):
-        chosen = rows[keep]
-        found = (
-            _corners(made.simplices[1], made.of_triangle, chosen) if at == 2 else made.simplices[at][chosen]
-        )
+        rows = rows[keep]
+        found = _corners(made.simplices[1], made.of_triangle, rows) if at == 2 else made.simplices[at][rows]
         simplices.append(named(found, names))
     return births[keep], deaths[keep], *simplices
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from paper_artifact.alpha.expansions import WORKSPACE
+from paper_artifact.alpha.ordering import grown
 from paper_artifact.alpha.predicates import insphere, insphere_of, orient3d, orient3d_exact, orient3d_filter
 from paper_artifact.kernel_cache import njit
 
@@ -166,15 +167,6 @@ def _locate(points: np.ndarray, mesh: np.ndarray, t: int, p: int, ws: np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def _grown(array: np.ndarray, size: int) -> np.ndarray:
-    """Return a copy of `array` (m,) with the size `size`, what is new 0."""
-    larger = np.zeros(size, dtype=np.int32)
-    for i in range(len(array)):  # a slice assignment takes seconds to compile
-        larger[i] = array[i]
-    return larger
-
-
-@njit(cache=True, nogil=True)
 def _insert(points: np.ndarray, mesh: np.ndarray, mark: np.ndarray, state: np.ndarray, room: int) -> None:
     """Insert points IN PLACE from number state[0] on, until all are in or there is no room for the next.
 
@@ -296,7 +288,7 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
     """
     n = len(points)
     rows, room = 9 * n + 64, 256
-    mesh, mark = _grown(START.reshape(-1), 8 * rows), np.zeros(rows, dtype=np.int32)
+    mesh, mark = grown(START.reshape(-1), 8 * rows), np.zeros(rows, dtype=np.int32)
     state = np.array([4, 5, -1, 0, 0, 0])
     while True:
         _insert(points, mesh, mark, state, room)
@@ -305,13 +297,12 @@ def triangulate(points: np.ndarray) -> tuple[np.ndarray, int]:
         room *= 2
         if state[1] + room > rows:
             rows = 2 * rows + room
-            mesh, mark = _grown(mesh, 8 * rows), _grown(mark, rows)
+            mesh, mark = grown(mesh, 8 * rows), np.zeros(rows, dtype=np.int32)  # all marks so far are old
 
 
 @njit(cache=True, nogil=True)
 def finite_cells(mesh: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the finite cells (m, 4) of `triangulate` and their neighbours (m, 4), -1 outside the hull;
-    int32.
+    """Return the finite cells (m, 4) int32 of `triangulate` and their neighbours (m, 4) int32, -1 outside.
 
     Row v is renamed rank[v] (rank: (n,) int32, a permutation). The cells are sorted by their smallest vertex,
     so that near cells are near in memory.

@@ -87,8 +87,7 @@ class AlphaPersistence(torch.nn.Module):
 
     def forward(self, points: Tensor | Sequence[Tensor]) -> tuple[DiagramTensor, ...] | list:
         """Return the diagrams of `points` (n,3) or (n,2); of a batch (b,n,d) or a list, a list of them."""
-        every: Any = points  # a list of clouds gives a list of diagrams
-        return alpha_diagrams(every, **self.options)
+        return alpha_diagrams(points, **self.options)
 
     def extra_repr(self) -> str:
         """Return the options for print()."""
@@ -101,16 +100,9 @@ def circumradius(corners: Tensor) -> Tensor:
     Dtype and device are those of the corners. Differentiable once, by the closed form above. Use float64: the
     Gabriel gate compares at 1e-6. Raises InputError for another shape or an integer dtype.
     """
-    if (
-        corners.ndim != 3
-        or corners.shape[1] not in (1, 2, 3, 4)
-        or corners.shape[2] != 3
-        or not corners.is_floating_point()
-    ):
-        raise InputError(
-            "corners must be floating point of shape (n, 1 to 4, 3), "
-            f"got {corners.dtype} {tuple(corners.shape)}"
-        )
+    shape = tuple(corners.shape)
+    if shape[1:] not in [(k, 3) for k in range(1, 5)] or not corners.is_floating_point():
+        raise InputError(f"corners must be floats of shape (n, 1 to 4, 3), got {corners.dtype} {shape}")
     return _Circumradius.apply(corners)
 
 

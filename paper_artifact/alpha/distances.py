@@ -1,11 +1,9 @@
 """Distances of persistence diagrams, pictures of them: bottleneck, Wasserstein, images, landscapes.
 
-The bottleneck distance is exact and made for large diagrams.
-
-Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all of them near the diagonal. These
-facts make the distance cheap; c is the distance, h a bar's half lifetime (its L-infinity distance to the
-diagonal), d the L-infinity distance of two bars, and `a`, `b` are bars (k,2), (l,2) of one dimension, births
-and deaths in any one unit.
+The bottleneck distance is exact. Diagrams of 20,000 samples hold some 20,000 bars per dimension, nearly all
+of them near the diagonal. These facts make it cheap; c is the distance, h a bar's half lifetime (its
+L-infinity distance to the diagonal), d the L-infinity distance of two bars, and `a`, `b` are bars (k,2),
+(l,2) of one dimension, births and deaths in any one unit.
 
 1. A bar costs at least min(h, distance to the nearest bar of the other diagram). L, the largest such value,
    is at most c; often c = L.
@@ -42,11 +40,24 @@ def bottleneck(a: Any, b: Any) -> float:
     matched with one of the other side; the distance is inf when their numbers differ. Raises InputError for
     another shape, NaN, or a death below its birth.
     """
-    (a, a_births), (b, b_births) = _split(_bars(a)), _split(_bars(b))
-    if len(a_births) != len(b_births):
+    a, b = _bars(a), _bars(b)
+    never = [np.sort(each[np.isinf(each[:, 1]), 0]) for each in (a, b)]
+    if len(never[0]) != len(never[1]):
         return np.inf
-    never = float(np.abs(np.sort(a_births) - np.sort(b_births)).max(initial=0.0))
-    return max(never, _finite_bottleneck(a, b))
+    a, b = (each[np.isfinite(each[:, 1])] for each in (a, b))
+    covered: Callable = _covered
+    sides: Any = (a, cKDTree(b)), (b, cKDTree(a))
+    low = max(_nearest_cost(*side) for side in sides)
+    high = max(low, float(_half(np.concatenate([a, b])).max(initial=0.0)))
+    if not a[:, 0].any() and not b[:, 0].any():  # dimension 0: bars on a ray
+        x, y = np.sort(a[:, 1]), np.sort(b[:, 1])
+        covered, sides = _covered_on_a_ray, ((x, y), (y, x))
+    if all(covered(*side, low) for side in sides):
+        high = low
+    while low < (middle := (low + high) / 2) < high:  # the least feasible bound, to the last float
+        feasible = all(covered(*side, middle) for side in sides)
+        low, high = (low, middle) if feasible else (middle, high)
+    return max(float(np.abs(never[0] - never[1]).max(initial=0.0)), high)
 
 
 def _bars(bars: Any) -> np.ndarray:
@@ -66,63 +77,19 @@ def _bars(bars: Any) -> np.ndarray:
     return array
 
 
-def _split(bars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the finite bars (k,2) and the births (m,) of those that never die."""
-    never = np.isinf(bars[:, 1])
-    return bars[~never], bars[never, 0]
-
-
-def _finite_bottleneck(a: np.ndarray, b: np.ndarray) -> float:
-    low = max(_nearest_cost(a, b), _nearest_cost(b, a))
-    if not len(a) or not len(b):
-        return low
-    if not a[:, 0].any() and not b[:, 0].any():  # dimension 0: bars on a ray
-        a, b = np.sort(a[:, 1]), np.sort(b[:, 1])
-        longest = max(a[-1], b[-1]) / 2
-        return _least(
-            low, longest, lambda bound: _covered_on_a_ray(a, b, bound) and _covered_on_a_ray(b, a, bound)
-        )
-    tree_a, tree_b = cKDTree(a), cKDTree(b)
-    longest = max(_half(a).max(), _half(b).max())
-    return _least(
-        low, float(longest), lambda bound: _covered(a, tree_b, bound) and _covered(b, tree_a, bound)
-    )
-
-
 def _half(bars: np.ndarray) -> np.ndarray:
     return (bars[:, 1] - bars[:, 0]) / 2
 
 
-def _nearest_cost(bars: np.ndarray, others: np.ndarray) -> float:
+def _nearest_cost(bars: np.ndarray, others: cKDTree) -> float:
     """Return fact 1's lower bound: the largest min(half lifetime, distance to the nearest other)."""
-    if not len(bars):
-        return 0.0
-    if not len(others):
-        return float(_half(bars).max())
-    distances, _ = cKDTree(others).query(bars, p=np.inf)
-    return float(np.minimum(_half(bars), distances).max())
-
-
-def _least(low: float, high: float, feasible: Callable[[float], bool]) -> float:
-    """Return the least feasible bound in [low, high], to the last float; high and all above are feasible."""
-    high = max(low, high)
-    if feasible(low):
-        return low
-    while True:
-        middle = (low + high) / 2
-        if not low < middle < high:
-            return high
-        if feasible(middle):
-            high = middle
-        else:
-            low = middle
+    distances, _ = others.query(bars, p=np.inf)  # inf where there are no others
+    return float(np.minimum(_half(bars), distances).max(initial=0.0))
 
 
 def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
     """Return whether all bars of half lifetime > bound can have different partners in reach (facts 2, 3)."""
     needy = bars[_half(bars) > bound]
-    if not len(needy):
-        return True
     reach = others.query_ball_point(needy, bound, p=np.inf, return_length=True)
     order = np.argsort(reach, kind="stable")
     tight = np.flatnonzero(reach[order] < np.arange(1, len(needy) + 1))
@@ -136,21 +103,18 @@ def _covered(bars: np.ndarray, others: cKDTree, bound: float) -> bool:
     if len(used) < len(needy):
         return False
     starts = np.concatenate([[0], np.cumsum(reach)]).astype(np.int32)
-    graph = csr_array(
-        (np.ones(len(columns), dtype=bool), columns.astype(np.int32), starts), shape=(len(needy), len(used))
-    )
+    entries = np.ones(len(columns), dtype=bool), columns.astype(np.int32), starts
+    graph = csr_array(entries, shape=(len(needy), len(used)))
     return bool((maximum_bipartite_matching(graph, perm_type="column") >= 0).all())
 
 
 def _covered_on_a_ray(deaths: np.ndarray, others: np.ndarray, bound: float) -> bool:
     """Return `_covered` for bars born at 0, given sorted deaths: each takes the first free partner."""
     needy = deaths[deaths / 2 > bound]
-    if not len(needy):
-        return True
     # partner[i] = max(partner[i-1] + 1, first in reach of i), written as a running maximum.
     order = np.arange(len(needy))
     partner = np.maximum.accumulate(np.searchsorted(others, needy - bound) - order) + order
-    return bool(partner[-1] < len(others) and (others[partner] <= needy + bound).all())
+    return bool((partner < len(others)).all() and (others[partner] <= needy + bound).all())
 
 
 def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) -> Any:
@@ -170,7 +134,7 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
         return np.inf
     some_x, some_y = (np.flatnonzero(np.isfinite(each[:, 1])) for each in (x, y))
     half = 2.0 ** (1.0 / internal - 1.0)  # a bar's distance to the diagonal, per lifetime
-    alone = [(half * (each[rows, 1] - each[rows, 0])) ** order for each, rows in ((x, some_x), (y, some_y))]
+    alone = [(half * (each[:, 1] - each[:, 0])) ** order for each in (x[some_x], y[some_y])]
     between = np.linalg.norm(x[some_x][:, None] - y[some_y][None], internal, axis=2) ** order
     gain = np.minimum(between - alone[0][:, None] - alone[1][None], 0.0)  # of a pair, over both alone
     rows, columns = linear_sum_assignment(gain)
@@ -178,16 +142,14 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     rows, columns = some_x[rows[real]], some_y[columns[real]]
     left = np.setdiff1d(some_x, rows), np.setdiff1d(some_y, columns)
     by_birth = never[0][np.argsort(x[never[0], 0])], never[1][np.argsort(y[never[1], 0])]
-    tensors = [each for each in (a, b) if hasattr(each, "detach")]
+    tensors = hasattr(a, "detach") or hasattr(b, "detach")
     norm: Any = np.linalg.norm
     if tensors:
         import torch
 
         norm = torch.linalg.vector_norm
-        x, y = (
-            each if hasattr(each, "detach") else torch.as_tensor(bars).to(tensors[0])
-            for each, bars in ((a, x), (b, y))
-        )
+        x = a if hasattr(a, "detach") else b.new_tensor(x)
+        y = b if hasattr(b, "detach") else a.new_tensor(y)
     parts = [
         norm(x[rows] - y[columns], internal, -1),
         *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
@@ -233,8 +195,7 @@ def persistence_landscape(
     Row j at a radius t is the (j+1)-th largest of min(t - birth, death - t) over the bars, at least 0, for
     `resolution` values of t evenly over span, ends included (default: from the least birth to the last
     death). Bars that never die are left out. A tensor for a tensor, differentiable; otherwise a float64
-    array.
-    Raises InputError as `bottleneck` does, or for a size below 1 or an empty span.
+    array. Raises InputError as `bottleneck` does, or for a size below 1 or an empty span.
     """
     library, values, array = _finite(bars)
     low, high = _range(array.ravel()) if span is None else span
@@ -261,11 +222,7 @@ def _finite(bars: Any) -> tuple[Any, Any, np.ndarray]:
 def _steps(count: int, like: Any) -> Any:
     """Return 0, 1, ... (count,) as an array, or as a tensor of the dtype and device of the tensor `like`."""
     steps = np.arange(count, dtype=np.float64)
-    if not hasattr(like, "detach"):
-        return steps
-    import torch
-
-    return torch.as_tensor(steps).to(like)
+    return like.new_tensor(steps) if hasattr(like, "detach") else steps
 
 
 def _range(values: np.ndarray) -> tuple[float, float]:

@@ -14,6 +14,8 @@ has length 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from paper_artifact.kernel_cache import njit
@@ -80,16 +82,13 @@ def _sum(ws: np.ndarray, e: int, ne: int, f: int, nf: int, h: int) -> int:
     i = j = 0
     place = h
     q = 0.0
-    for step in range(ne + nf):
+    for _ in range(ne + nf):
         if j >= nf or (i < ne and abs(ws[e + i]) < abs(ws[f + j])):
             term = ws[e + i]
             i += 1
         else:
             term = ws[f + j]
             j += 1
-        if step == 0:
-            q = term
-            continue
         q, low = two_sum(q, term)
         place = _append(ws, place, low)
     return _append(ws, place, q) - h
@@ -152,9 +151,15 @@ class Formula:
         """Record the dot product of two vectors and return its register."""
         return self.total(*(self.step(MULTIPLY, a, b) for a, b in zip(u, v, strict=True)))
 
-    def steps(self) -> np.ndarray:
-        """Return the steps (s, 4) int64; the value of the formula is the result of the last step."""
-        return np.array(self.rows, dtype=np.int64)
+
+def recorded(vectors: int, write: Callable) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps (s, 4) int64 that write(formula, *inputs) records and the registers int64 it returns.
+
+    The value of the formula is the result of the last step.
+    """
+    formula = Formula(vectors)
+    registers = write(formula, *formula.inputs)
+    return np.array(formula.rows, dtype=np.int64), np.array(registers, dtype=np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -207,8 +212,7 @@ def exact(
                 for k in range(loc[j, 1]):
                     ws[f + k] = -ws[loc[j, 0] + k]
             n = _sum(ws, loc[i, 0], loc[i, 1], f, loc[j, 1], top)
-        loc[out, 0] = top
-        loc[out, 1] = n
+        loc[out, 0], loc[out, 1] = top, n
         top += n
         total = 0.0
         for k in range(max(0, n - 4), n):  # components do not overlap: the last ones are the number
@@ -226,18 +230,13 @@ def evaluate(points: np.ndarray, rows: np.ndarray, steps: np.ndarray, values: np
     vectors = len(rows) - 1
     for i in range(vectors):
         for k in range(3):
-            values[3 * i + k, 0], values[3 * i + k, 1] = two_sum(
-                points[rows[i], k], -points[rows[vectors], k]
-            )
+            value = two_sum(points[rows[i], k], -points[rows[vectors], k])
+            values[3 * i + k, 0], values[3 * i + k, 1] = value
     out = 0
     for s in range(len(steps)):
         operation, i, j, out = steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3]
-        x = values[i, 0], values[i, 1]
-        if operation == MULTIPLY:
-            value = dd_mul(x, (values[j, 0], values[j, 1]))
-        elif operation == ADD:
-            value = dd_add(x, (values[j, 0], values[j, 1]))
-        else:
-            value = dd_add(x, (-values[j, 0], -values[j, 1]))
-        values[out, 0], values[out, 1] = value
+        x, y = (values[i, 0], values[i, 1]), (values[j, 0], values[j, 1])
+        if operation == SUBTRACT:
+            y = -y[0], -y[1]
+        values[out, 0], values[out, 1] = dd_mul(x, y) if operation == MULTIPLY else dd_add(x, y)
     return values[out, 0]

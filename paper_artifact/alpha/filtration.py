@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from paper_artifact.alpha.expansions import Formula, evaluate, exact
+from paper_artifact.alpha.expansions import WORKSPACE, Formula, evaluate, exact, recorded
 from paper_artifact.alpha.predicates import edge_exact, edge_filter, triangle_exact, triangle_filter
 from paper_artifact.kernel_cache import njit
 
@@ -21,38 +21,25 @@ from paper_artifact.kernel_cache import njit
 FLAT, FLATTER = 1e-4, 1e-18
 
 
-def _circumcentre() -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps for a tetrahedron with difference vectors u, v, w, and the registers of
-    N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v), twice the determinant times the vector to the circumcentre.
+def _circumcentre(formula: Formula, u: tuple, v: tuple, w: tuple) -> list[int]:
+    """Return the registers of N = |u|²(v x w) + |v|²(w x u) + |w|²(u x v) of a tetrahedron.
 
-    The determinant u·(v x w) is the last step.
+    N is twice the determinant u·(v x w), the last step, times the vector to the circumcentre.
     """
-    formula = Formula(3)
-    u, v, w = formula.inputs
     vw, wu, uv = formula.cross(v, w), formula.cross(w, u), formula.cross(u, v)
     lengths = (formula.dot(u, u), formula.dot(v, v), formula.dot(w, w))
     centre = [formula.dot(lengths, (vw[k], wu[k], uv[k])) for k in range(3)]
     formula.dot(u, vw)
-    return formula.steps(), np.array(centre, dtype=np.int64)
+    return centre
 
 
-def _normal() -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps for a triangle with difference vectors u, v, and the registers of u x v."""
-    formula = Formula(2)
-    normal = formula.cross(*formula.inputs)
-    return formula.steps(), np.array(normal, dtype=np.int64)
-
-
-TETRAHEDRON, CENTRE = _circumcentre()
-TRIANGLE, NORMAL = _normal()
+TETRAHEDRON, CENTRE = recorded(3, _circumcentre)
+TRIANGLE, NORMAL = recorded(2, Formula.cross)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
 def tetrahedron_filter(points: np.ndarray, a: int, b: int, c: int, d: int) -> float:
-    """Return the squared circumradius of a tetrahedron given by row indices, -(|u||v||w|)² if it is flat.
-
-    Infinite when it overflows.
-    """
+    """Return the squared circumradius of the rows a to d, inf when it overflows; -(|u||v||w|)² if flat."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
     wx, wy, wz = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
@@ -131,16 +118,11 @@ def faces(cells: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @njit(cache=True, nogil=True)
 def edges_of(triangles: np.ndarray, vertex_count: int, edge_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (triangle_edges (k, 3): edge opposite each corner; edges (edge_count, 2): vertices), int32.
-
-    edge_count is exact (Euler).
-    """
+    """Return the edge opposite each corner (k, 3) and edges (edge_count, 2), as many as Euler says; int32."""
     table = 1024
     while table < 2 * edge_count:
         table *= 2
-    near = table // max(
-        vertex_count, 1
-    )  # an edge is looked for near its first vertex first: that is in the cache
+    near = table // vertex_count  # an edge is looked for near its first vertex: that is in the cache
     slots = np.full(table, np.int32(-1))
     edges = np.empty((edge_count, 2), dtype=np.int32)
     of_triangle = np.empty((len(triangles), 3), dtype=np.int32)
@@ -170,16 +152,13 @@ def _apex(cells: np.ndarray, t: int, a: int, b: int, c: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def values(
-    points: np.ndarray,
-    cells: np.ndarray,
-    triangles: np.ndarray,
-    sides: np.ndarray,
-    edges: np.ndarray,
-    of_triangle: np.ndarray,
-    ws: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the squared radii of edges (e,), triangles (k,), cells (m,); float64, of the points' unit."""
+def values(points: np.ndarray, simplices: tuple, of_triangle: np.ndarray, sides: np.ndarray) -> tuple:
+    """Return the squared radii of edges (e,), triangles (k,), cells (m,); float64, of the points' unit.
+
+    simplices: edges, triangles, cells; of_triangle: of edges_of; sides: of faces.
+    """
+    edges, triangles, cells = simplices
+    ws = np.empty(WORKSPACE)
     m, k, e = len(cells), len(triangles), len(edges)
     cell_values, triangle_values, edge_values = np.empty(m), np.empty(k), np.full(e, np.inf)
     for t in range(m):
@@ -195,11 +174,10 @@ def values(
         outer = np.int64(sides[f, 1]) if sides[f, 1] >= 0 else inner
         d, e = _apex(cells, inner, a, b, c), _apex(cells, outer, a, b, c)
         # All signs first: without a branch between them the processor overlaps them.
-        (in_d, d_bound), (in_e, e_bound) = (
-            triangle_filter(points, a, b, c, d),
-            triangle_filter(points, a, b, c, e),
-        )
-        (in_a, a_bound), (in_b, b_bound) = edge_filter(points, b, c, a), edge_filter(points, c, a, b)
+        in_d, d_bound = triangle_filter(points, a, b, c, d)
+        in_e, e_bound = triangle_filter(points, a, b, c, e)
+        in_a, a_bound = edge_filter(points, b, c, a)
+        in_b, b_bound = edge_filter(points, c, a, b)
         in_c, c_bound = edge_filter(points, a, b, c)
         unit, area, third = triangle_sides(points, a, b, c)
         if abs(in_d) <= d_bound:
@@ -238,13 +216,13 @@ def _own_edge_values(points: np.ndarray, edges: np.ndarray, gabriel: np.ndarray,
 
 @njit(cache=True, nogil=True)
 def planar_values(
-    points: np.ndarray, triangles: np.ndarray, edges: np.ndarray, of_triangle: np.ndarray, ws: np.ndarray
+    points: np.ndarray, triangles: np.ndarray, edges: np.ndarray, of_triangle: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the squared radii of edges (e,) and triangles (k,) of a planar Delaunay triangulation, and the
     triangles beside each edge (e, 2) int32, -1 outside the hull.
     """
     k, e = len(triangles), len(edges)
-    triangle_values, edge_values = np.empty(k), np.full(e, np.inf)
+    ws, triangle_values, edge_values = np.empty(WORKSPACE), np.empty(k), np.full(e, np.inf)
     gabriel, sides = np.ones(e, dtype=np.bool_), np.full((e, 2), np.int32(-1))
     for f in range(k):
         a, b, c = np.int64(triangles[f, 0]), np.int64(triangles[f, 1]), np.int64(triangles[f, 2])

@@ -26,6 +26,15 @@ def normalised(points: np.ndarray) -> tuple[np.ndarray, int]:
     return scaled, exponent
 
 
+@njit(cache=True, nogil=True)
+def grown(array: np.ndarray, size: int) -> np.ndarray:
+    """Return `array` (m,) int32 in a new array of `size` >= m, whose other values are not set."""
+    larger = np.empty(size, dtype=np.int32)
+    for i in range(len(array)):  # a slice assignment takes seconds to compile
+        larger[i] = array[i]
+    return larger
+
+
 @njit("int32[::1](uint64[::1])", cache=True, nogil=True)
 def sort_keys(keys: np.ndarray) -> np.ndarray:
     """Return the stable increasing order (n,) int32 of (n,) uint64 `keys`.
@@ -78,31 +87,27 @@ def sort_keys(keys: np.ndarray) -> np.ndarray:
     return order
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _hilbert(x: int, y: int, z: int) -> int:
-    """Return the Hilbert index of a cell with HILBERT_BITS bits per axis (Skilling 2004)."""
-    for bit in range(HILBERT_BITS - 1, 0, -1):
-        p = (1 << bit) - 1
-        x ^= p if (x >> bit) & 1 else 0
-        x, y = (x ^ p, y) if (y >> bit) & 1 else (x ^ ((x ^ y) & p), y ^ ((x ^ y) & p))
-        x, z = (x ^ p, z) if (z >> bit) & 1 else (x ^ ((x ^ z) & p), z ^ ((x ^ z) & p))
-    y ^= x
-    z ^= y
-    t = 0
-    for bit in range(HILBERT_BITS - 1, 0, -1):
-        t ^= (1 << bit) - 1 if (z >> bit) & 1 else 0
-    x, y, z = x ^ t, y ^ t, z ^ t
-    index = 0
-    for bit in range(HILBERT_BITS - 1, -1, -1):
-        index = (index << 3) | ((x >> bit) & 1) << 2 | ((y >> bit) & 1) << 1 | ((z >> bit) & 1)
-    return index
-
-
 @njit("uint64[::1](int64[:,::1])", cache=True, nogil=True)
-def _hilbert_indices(cells: np.ndarray) -> np.ndarray:
+def _hilbert(cells: np.ndarray) -> np.ndarray:
+    """Return the Hilbert indices (n,) of cells (n, 3) with HILBERT_BITS bits per axis (Skilling 2004)."""
     indices = np.empty(len(cells), dtype=np.uint64)
     for i in range(len(cells)):
-        indices[i] = _hilbert(cells[i, 0], cells[i, 1], cells[i, 2])
+        x, y, z = cells[i, 0], cells[i, 1], cells[i, 2]
+        for bit in range(HILBERT_BITS - 1, 0, -1):
+            p = (1 << bit) - 1
+            x ^= p if (x >> bit) & 1 else 0
+            x, y = (x ^ p, y) if (y >> bit) & 1 else (x ^ ((x ^ y) & p), y ^ ((x ^ y) & p))
+            x, z = (x ^ p, z) if (z >> bit) & 1 else (x ^ ((x ^ z) & p), z ^ ((x ^ z) & p))
+        y ^= x
+        z ^= y
+        t = 0
+        for bit in range(HILBERT_BITS - 1, 0, -1):
+            t ^= (1 << bit) - 1 if (z >> bit) & 1 else 0
+        x, y, z = x ^ t, y ^ t, z ^ t
+        index = 0
+        for bit in range(HILBERT_BITS - 1, -1, -1):
+            index = (index << 3) | ((x >> bit) & 1) << 2 | ((y >> bit) & 1) << 1 | ((z >> bit) & 1)
+        indices[i] = index
     return indices
 
 
@@ -111,12 +116,17 @@ def hilbert_indices(points: np.ndarray) -> np.ndarray:
     low = points.min(axis=0)
     extent = float((points.max(axis=0) - low).max())
     scale = ((1 << HILBERT_BITS) - 1) / extent if extent > 0.0 else 0.0
-    return _hilbert_indices(((points - low) * scale).astype(np.int64))
+    return _hilbert(((points - low) * scale).astype(np.int64))
 
 
-@njit("uint64[::1](uint64[::1], int64)", cache=True, nogil=True)
-def _in_rounds(indices: np.ndarray, rounds: int) -> np.ndarray:
-    """Return the sort keys (n,) of points at `indices` (n,) of the Hilbert curve: round, then index."""
+@njit("int32[::1](uint64[::1])", cache=True, nogil=True)
+def insertion_order(indices: np.ndarray) -> np.ndarray:
+    """Return the order (n,) int32 in which to insert points at `indices` (n,) uint64 of the Hilbert curve.
+
+    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the point's number spreads the
+    points over rounds that double in size, and each round follows the curve, so the next point is close to
+    the last.
+    """
     n = len(indices)
     keys = np.empty(n, dtype=np.uint64)
     for i in range(n):
@@ -125,17 +135,7 @@ def _in_rounds(indices: np.ndarray, rounds: int) -> np.ndarray:
         bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         bits ^= bits >> np.uint64(31)
         level = 0
-        while level < rounds and (bits >> np.uint64(level)) & np.uint64(1):
+        while level < ROUNDS and (bits >> np.uint64(level)) & np.uint64(1):
             level += 1
-        keys[i] = np.uint64(rounds - level) << np.uint64(3 * HILBERT_BITS) | indices[i]
-    return keys
-
-
-def insertion_order(indices: np.ndarray) -> np.ndarray:
-    """Return the order (n,) int32 in which to insert points at `indices` (n,) uint64 of the Hilbert curve.
-
-    Biased randomised insertion order (Amenta, Choi & Rote 2003): a hash of the point's number spreads the
-    points over rounds that double in size, and each round follows the curve, so the next point is close to
-    the last.
-    """
-    return sort_keys(_in_rounds(indices, ROUNDS))
+        keys[i] = np.uint64(ROUNDS - level) << np.uint64(3 * HILBERT_BITS) | indices[i]
+    return sort_keys(keys)

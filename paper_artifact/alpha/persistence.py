@@ -92,8 +92,7 @@ def alpha_persistence(
     component that never dies is left out unless `infinite`; no other class is infinite. max_dimension: the
     highest dimension returned; 0 is several times faster. max_radius: the filtration ends there: what is born
     later is left out, what lives longer never dies. Exact duplicates of a point are one point of the
-    filtration; a simplex names one of them. Flat and small clouds have the answer of their own dimension:
-    collinear points bars in H0 only, coplanar ones in H0 and H1 only.
+    filtration; a simplex names one. Collinear points have bars in H0 only, coplanar ones in H0 and H1 only.
 
     The same points in another order give the same bits. With `as_given` they are triangulated in the given
     order, which agrees up to rounding: recorded runs do so.
@@ -140,10 +139,7 @@ def check_points(points: Any) -> np.ndarray:
     """
     advice = "give an (n, 3) or (n, 2) array of real numbers"
     if isinstance(points, np.ma.MaskedArray):
-        raise InputError(
-            f"the points are a masked array, whose mask would be lost; {advice}, e.g. "
-            "np.ma.compress_rows(points)"
-        )
+        raise InputError(f"the mask of the points would be lost; {advice}, e.g. np.ma.compress_rows(points)")
     try:
         if hasattr(points, "detach"):
             points = points.detach().cpu()
@@ -161,11 +157,10 @@ def check_points(points: Any) -> np.ndarray:
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"the points have shape {points.shape}; {advice}")
     points = np.ascontiguousarray(points, dtype=np.float64)
-    if not (np.abs(points) <= LARGEST).all():
-        row = int(np.flatnonzero(~(np.abs(points) <= LARGEST).all(axis=1))[0])
-        raise InputError(
-            f"point {row} has a coordinate that is not finite or beyond 4e307; remove such points first"
-        )
+    wrong = ~(np.abs(points) <= LARGEST).all(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise InputError(f"point {row} has a coordinate not finite or beyond 4e307; remove such points first")
     return points
 
 
@@ -197,13 +192,15 @@ def fast_persistence(
     from paper_artifact.alpha import complex as alpha_complex  # compiled code: loaded only where it is used
 
     begin = _stages(clock)
-    made = alpha_complex.build(_in_space(points), begin)
+    made = alpha_complex.build(points, begin)
     begin("reduction")
     called = made.names if names is None else names[made.names].astype(np.int32)
     bars = alpha_complex.squared_bars(made, top, called)
     begin("pairs")
     found = [_pairs(each, made.exponent, squared) for each in bars]
-    found += [_empty(dimension) for dimension in range(len(found), top + 1)]
+    for dimension in range(len(found), top + 1):
+        simplices = [np.empty((0, dimension + more), dtype=np.int64) for more in (1, 2)]
+        found.append(Pairs(np.empty(0), np.empty(0), *simplices))
     begin("")
     return tuple(found)
 
@@ -254,7 +251,7 @@ def gudhi_persistence(
 
 @dataclass(frozen=True, eq=False)
 class Filtration:
-    """The alpha complex of a cloud: its simplices of dimensions 0 to 3 and the radii that they enter at."""
+    """The alpha complex of a cloud without duplicates: simplices of dimensions 0 to 3 and their radii."""
 
     simplices: tuple[np.ndarray, ...]  # of dimension d: (k, d+1) int64 indices into the points, increasing
     radii: tuple[np.ndarray, ...]  # of dimension d: (k,) float64, unit of the points; never above a coface's
@@ -289,9 +286,7 @@ class Filtration:
         graph = csr_array((self.lengths[before], tuple(edges[before].T)), shape=(count, count))
         distance, previous = dijkstra(graph, directed=False, indices=u_v[0], return_predecessors=True)
         if not np.isfinite(distance[u_v[1]]):
-            raise InputError(
-                f"the edge {u_v.tolist()} closes no loop; give the birth of a bar of dimension 1"
-            )
+            raise InputError(f"edge {u_v.tolist()} closes no loop; give the birth of a bar of dimension 1")
         path = [int(u_v[1])]
         while path[-1] != u_v[0]:
             path.append(int(previous[path[-1]]))
@@ -299,15 +294,12 @@ class Filtration:
 
 
 def alpha_filtration(points: Any) -> Filtration:
-    """Return the alpha filtration of `points` (n, 3) or (n, 2). Raises InputError as alpha_persistence does.
-
-    A duplicate of a point is in no simplex.
-    """
+    """Return the alpha filtration of `points` (n, 3) or (n, 2); raises InputError as alpha_persistence."""
     from paper_artifact.alpha import complex as alpha_complex
 
     points = check_points(points)
     order = canonical_order(points)
-    made = alpha_complex.build(_in_space(points[order]), lambda stage: None)
+    made = alpha_complex.build(points[order], lambda stage: None)
     names = order[made.names].astype(np.int32)
     vertices, edges = made.simplices[:2]
     made.simplices[0] = np.unique(edges)[:, None] if len(edges) else vertices[:1]  # without duplicates
@@ -319,26 +311,14 @@ def alpha_filtration(points: Any) -> Filtration:
     return Filtration(simplices, radii, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
 
-def _in_space(points: np.ndarray) -> np.ndarray:
-    """Return (n, 2) points as (n, 3) with the height 0."""
-    return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
-
-
-def _empty(dimension: int) -> Pairs:
-    simplices = [np.empty((0, dimension + more), dtype=np.int64) for more in (1, 2)]
-    return Pairs(np.empty(0), np.empty(0), *simplices)
-
-
 def _pairs(rows: tuple, exponent: int, squared: bool) -> Pairs:
     """Return the Pairs of SQUARED radii in units of 2^(2 exponent) and simplices."""
     births, deaths, *simplices = rows
     if squared and abs(exponent) > 500:
         raise InputError("the squared radii leave the range of float64; ask for radii or scale the points")
-    values = [
-        np.ldexp(each, 2 * exponent) if squared else np.ldexp(np.sqrt(each), exponent)
-        for each in (births, deaths)
-    ]
-    return Pairs(*values, *simplices)
+    if squared:
+        return Pairs(np.ldexp(births, 2 * exponent), np.ldexp(deaths, 2 * exponent), *simplices)
+    return Pairs(np.ldexp(np.sqrt(births), exponent), np.ldexp(np.sqrt(deaths), exponent), *simplices)
 
 
 def _with_the_first_component(pairs: Pairs, points: np.ndarray) -> Pairs:

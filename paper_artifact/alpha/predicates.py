@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from paper_artifact.alpha.expansions import ADD, MULTIPLY, Formula, evaluate, exact
+from paper_artifact.alpha.expansions import MULTIPLY, Formula, evaluate, exact, recorded
 from paper_artifact.kernel_cache import njit
 
 ORIENT_BOUND = 7.7715611723761027e-16  # (7 + 56 u) u, u = 2^-53
@@ -26,32 +26,15 @@ GABRIEL_BOUND = 1.3e-14
 DD_BOUND = 1e-29  # 800 times 2^-106: more than a thousand rounding errors of double-double operations
 
 
-def _orient() -> np.ndarray:
-    formula = Formula(3)
-    a, b, c = formula.inputs
-    formula.dot(c, formula.cross(a, b))
-    return formula.steps()
-
-
-def _insphere() -> np.ndarray:
-    formula = Formula(4)
-    a, b, c, d = formula.inputs
+def _insphere(formula: Formula, a: tuple, b: tuple, c: tuple, d: tuple) -> int:
     ab, cd = formula.cross(a, b), formula.cross(c, d)
     dab, abc, bcd, cda = formula.dot(d, ab), formula.dot(c, ab), formula.dot(b, cd), formula.dot(a, cd)
     lift = [formula.dot(v, v) for v in formula.inputs]
-    formula.step(ADD, formula.minor(lift[3], abc, lift[2], dab), formula.minor(lift[1], cda, lift[0], bcd))
-    return formula.steps()
+    halves = formula.minor(lift[3], abc, lift[2], dab), formula.minor(lift[1], cda, lift[0], bcd)
+    return formula.total(*halves)
 
 
-def _edge() -> np.ndarray:
-    formula = Formula(2)
-    formula.dot(*formula.inputs)
-    return formula.steps()
-
-
-def _triangle() -> np.ndarray:
-    formula = Formula(3)
-    u, v, w = formula.inputs
+def _triangle(formula: Formula, u: tuple, v: tuple, w: tuple) -> int:
     uu, vv, ww = formula.dot(u, u), formula.dot(v, v), formula.dot(w, w)
     uv, uw, vw = formula.dot(u, v), formula.dot(u, w), formula.dot(v, w)
     terms = (
@@ -59,11 +42,13 @@ def _triangle() -> np.ndarray:
         (vv, formula.minor(vw, uw, ww, uv)),
         (ww, formula.minor(uv, vw, vv, uw)),
     )
-    formula.total(*(formula.step(MULTIPLY, length, minor) for length, minor in terms))
-    return formula.steps()
+    return formula.total(*(formula.step(MULTIPLY, length, minor) for length, minor in terms))
 
 
-ORIENT, INSPHERE, EDGE, TRIANGLE = _orient(), _insphere(), _edge(), _triangle()
+ORIENT, _ = recorded(3, lambda formula, a, b, c: formula.dot(c, formula.cross(a, b)))
+INSPHERE, _ = recorded(4, _insphere)
+EDGE, _ = recorded(2, Formula.dot)
+TRIANGLE, _ = recorded(3, _triangle)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -165,9 +150,7 @@ def insphere(points: np.ndarray, a: int, b: int, c: int, d: int, e: int, ws: np.
 
 @njit(cache=True, nogil=True, forceinline=True)
 def edge_filter(points: np.ndarray, a: int, b: int, c: int) -> tuple[float, float]:
-    """Return (a-c)·(b-c) in float64 and a bound of its error: negative for c in the edge's smallest
-    sphere.
-    """
+    """Return (a-c)·(b-c), negative for c in the edge's smallest sphere, in float64 and its error's bound."""
     x = (points[a, 0] - points[c, 0]) * (points[b, 0] - points[c, 0])
     y = (points[a, 1] - points[c, 1]) * (points[b, 1] - points[c, 1])
     z = (points[a, 2] - points[c, 2]) * (points[b, 2] - points[c, 2])

@@ -13,13 +13,11 @@ Where this breaks: a flat tetrahedron or a collinear triangle has no circumcentr
 gradient 0, so the Gabriel gate refuses it and no NaN reaches the vertices.
 
 The gate asks whether a paired simplex's filtration value is its own circumradius, to a relative 1e-6 (paper
-§3.2); a pair that fails is detached. In general position a simplex of a bar of positive length is critical,
-hence Gabriel, so failures mean rounding or degenerate input.
-
-Fallbacks (`LossConfig.fallback`):
-  detach       the paper's default: the pair keeps its value in the loss and gets no gradient;
-  drop         failing bars are taken out before the matching: a sound bar may claim the target instead;
-The paper's other two, subgradients and a locally denser sample, were never needed in its or our runs.
+§3.2). In general position a simplex of a bar of positive length is critical, hence Gabriel, so failures mean
+rounding or degenerate input. `LossConfig.fallback` says what then happens. "detach", the paper's default: the
+pair keeps its value in the loss and gets no gradient. "drop": failing bars are taken out before the matching,
+and a sound bar may claim the target instead. The paper's other two, subgradients and a locally denser sample,
+were never needed in its or our runs.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ def passes_gate(cloud: np.ndarray, simplices: np.ndarray, values: np.ndarray) ->
     return np.abs(radii - values) <= TOLERANCE * np.abs(values)
 
 
-# Below: corners and gradients (k,3,n), vectors (3,n), numbers (n,).
+# Below: corners and gradients (k,3,n), vectors (3,n), numbers (n,). The first corner is the origin.
 
 
 def _point(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -65,7 +63,7 @@ def _edge(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _triangle(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    u, v = corners[1] - corners[0], corners[2] - corners[0]
+    _, u, v = corners
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     normal = _cross(u, v)
     square = _dot(normal, normal)
@@ -74,27 +72,25 @@ def _triangle(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     radius = np.sqrt(uu * vv * _dot(u - v, u - v) / square) / 2
     centre = weight_1 * u + weight_2 * v
     weights = np.stack([1 - weight_1 - weight_2, weight_1, weight_2])
-    return _finish(np.stack([np.zeros_like(u), u, v]), centre, weights, radius)
+    return _finish(corners, centre, weights, radius)
 
 
 def _tetrahedron(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    u, v, w = (corners[i] - corners[0] for i in (1, 2, 3))
+    _, u, v, w = corners
     vw, wu, uv = _cross(v, w), _cross(w, u), _cross(u, v)
     volume = _dot(u, vw)
     # Cramer's rule on A y = ½ diag(A Aᵀ), rows of A = u, v, w: y is the circumcentre relative to p0.
     centre = (_dot(u, u) * vw + _dot(v, v) * wu + _dot(w, w) * uv) / (2 * volume)
     inner = np.stack([_dot(centre, vw), _dot(centre, wu), _dot(centre, uv)]) / volume
     weights = np.concatenate([1 - inner.sum(axis=0, keepdims=True), inner])
-    return _finish(np.stack([np.zeros_like(u), u, v, w]), centre, weights, np.sqrt(_dot(centre, centre)))
+    return _finish(corners, centre, weights, np.sqrt(_dot(centre, centre)))
 
 
 def _finish(
-    relative: np.ndarray, centre: np.ndarray, weights: np.ndarray, radius: np.ndarray
+    corners: np.ndarray, centre: np.ndarray, weights: np.ndarray, radius: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (radius, β_i (p_i - c) / R), inf and 0 where the simplex is flat or the arithmetic
-    overflowed.
-    """
-    gradient = weights[:, None] * (relative - centre) / radius
+    """Return (radius, β_i (p_i - c) / R), inf and 0 where the simplex is flat or a number overflowed."""
+    gradient = weights[:, None] * (corners - centre) / radius
     bad = ~(np.isfinite(radius) & np.isfinite(gradient).all(axis=(0, 1)))
     if bad.any():
         radius, gradient = np.where(bad, np.inf, radius), np.where(bad, 0.0, gradient)

@@ -12,19 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from paper_artifact.alpha.ordering import sort_keys
+from paper_artifact.alpha.ordering import grown, sort_keys
 from paper_artifact.kernel_cache import njit
 
-# A triangle's state: not yet paired; apparent pair with a cell; paired with a cell; apparent pair with an
-# edge.
+# A triangle's state: not yet paired; apparent pair with a cell; paired with one; apparent pair with an edge.
 OPEN, FILLED, CLOSES, KILLS = 0, 1, 2, 3
 SHORT, NOTHING = 96, -2  # rows of a column that is worked on as a list; no apparent triangle
 
 
 def increasing(values: np.ndarray) -> np.ndarray:
     """Return the order (n,) int32 of (n,) non-negative float64 values, equal ones by index."""
-    # The bits of non-negative doubles sort as integers.
-    return sort_keys(values.view(np.uint64))
+    return sort_keys(values.view(np.uint64))  # the bits of non-negative doubles sort as integers
 
 
 @njit(cache=True, nogil=True)
@@ -130,8 +128,7 @@ def voids(
     """
     outside = np.int32(len(cell_values))
     sizes = np.ones(outside + 1, dtype=np.int32)
-    # Of each component's root: its last cell in the filtration.
-    tops = np.arange(outside + 1).astype(np.int32)
+    tops = np.arange(outside + 1).astype(np.int32)  # of a component's root: its last cell in the filtration
     births, deaths = np.empty(len(order), dtype=np.int32), np.empty(len(order), dtype=np.int32)
     count = 0
     for place in range(len(order) - 1, -1, -1):
@@ -156,31 +153,20 @@ def voids(
 
 
 @njit(cache=True, nogil=True)
-def _grown(array: np.ndarray, used: int, size: int) -> np.ndarray:
-    larger = np.empty(size, dtype=np.int32)
-    for i in range(used):
-        larger[i] = array[i]
-    return larger
-
-
-@njit(cache=True, nogil=True)
 def _bit_tree(rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Return an empty set of rows below `rows`: (words of 64 bits, first word of each level).
 
     A bit of level 0 is a row, a bit of a higher level a word of the level below that is not empty; the last
     level is one word (the bit-tree column of PHAT: Bauer, Kerber, Reininghaus & Wagner 2017).
     """
-    levels, words, total = 1, rows // 64 + 1, rows // 64 + 1
+    starts, levels, words = np.zeros(8, dtype=np.int64), 1, rows // 64 + 1
+    total = words
     while words > 1:
+        starts[levels] = total
         words = (words + 63) // 64
         total += words
         levels += 1
-    starts = np.zeros(levels, dtype=np.int64)
-    words = rows // 64 + 1
-    for level in range(1, levels):
-        starts[level] = starts[level - 1] + words
-        words = (words + 63) // 64
-    return np.zeros(total, dtype=np.uint64), starts
+    return np.zeros(total, dtype=np.uint64), starts[:levels]
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -211,33 +197,22 @@ def _last(tree: np.ndarray, starts: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True)
 def loops(
-    of_triangle: np.ndarray,
-    order: np.ndarray,
-    state: np.ndarray,
-    edge_order: np.ndarray,
-    merges: np.ndarray,
-    apparent: np.ndarray,
+    of_triangle: np.ndarray, order: np.ndarray, edges: np.ndarray, apparent: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return H1: (edge (r,) that closes a loop, triangle (r,) that fills it), without the apparent pairs.
 
-    order: the triangles open after apparent_voids and apparent_loops in increasing value; those that close a
-    void are left out. Rows are the edges that merge no components (the others never become a pivot). A column
-    is a list of decreasing rows while it is short, as nearly all are, and a bit tree over the rows from then
-    on; a reduced column is kept as a list, except for the triangles of `apparent`, which stay as they are.
+    order: by value, the triangles that are open after apparent_voids and apparent_loops and close no void;
+    edges: by value, those that merge no components (the others never become a pivot), the rows. A column is a
+    list of decreasing rows while it is short, as nearly all are, and a bit tree over the rows from then on; a
+    reduced column is kept as a list, except for the triangles of `apparent`, which stay as they are.
     """
-    row_of = np.full(len(edge_order), np.int32(-1))
-    edge_at = np.empty(len(edge_order), dtype=np.int32)
-    rows = 0
-    for edge in edge_order:
-        if not merges[edge]:
-            row_of[edge] = rows
-            edge_at[rows] = edge
-            rows += 1
-    others = np.full(
-        (rows, 2), np.int32(NOTHING)
-    )  # of a row with an apparent triangle: its other rows, or -1
+    rows, count = len(edges), len(order)
+    row_of = np.full(len(apparent), np.int32(-1))
     for row in range(rows):
-        edge, place = edge_at[row], 0
+        row_of[edges[row]] = row
+    others = np.full((rows, 2), np.int32(NOTHING))  # of a row with an apparent triangle: its others, or -1
+    for row in range(rows):
+        edge, place = edges[row], 0
         if apparent[edge] >= 0:
             for i in range(3):
                 other = of_triangle[apparent[edge], i]
@@ -245,21 +220,14 @@ def loops(
                     others[row, place] = row_of[other]
                     place += 1
     # All columns first: reads from everywhere overlap where none waits for the one before.
-    triangles, columns = np.empty(len(order), dtype=np.int32), np.empty((len(order), 3), dtype=np.int32)
-    count = 0
-    for triangle in order:
-        if state[triangle] != CLOSES:
-            triangles[count] = triangle
-            for i in range(3):
-                columns[count, i] = row_of[of_triangle[triangle, i]]
-            count += 1
+    columns = np.empty((count, 3), dtype=np.int32)
+    for k in range(count):
+        for i in range(3):
+            columns[k, i] = row_of[of_triangle[order[k], i]]
     starts = np.zeros(rows, dtype=np.int64)  # of the kept column of a pivot row; its size 0: there is none
     sizes = np.zeros(rows, dtype=np.int32)
     births = np.empty(count, dtype=np.int32)
-    kept, used = (
-        np.empty(4 * rows + 1024, dtype=np.int32),
-        3,
-    )  # the first three: an apparent triangle's column
+    kept, used = np.empty(4 * rows + 1024, dtype=np.int32), 3  # the first: an apparent triangle's column
     tree, levels = _bit_tree(rows)
     # The column and room for a sum with it: halves of one array, for numba counts references to arrays that
     # change their names, with a memory fence each time.
@@ -324,7 +292,7 @@ def loops(
             else:
                 break
         if used + size > len(kept):
-            kept = _grown(kept, used, 2 * len(kept) + size)
+            kept = grown(kept, 2 * len(kept) + size)
         starts[pivot] = used
         if long:
             while tree[-1] != 0:
@@ -337,5 +305,5 @@ def loops(
                 kept[used] = column[here + i]
                 used += 1
         sizes[pivot] = used - starts[pivot]
-        births[k] = edge_at[pivot]
-    return births, triangles[:count]
+        births[k] = edges[pivot]
+    return births, order
