@@ -108,6 +108,8 @@ def load(profile: str = "recorded", studies: Iterable[str] = (), folder: Path = 
     names = tuple(studies) or tuple(STUDIES)
     if profile not in ("recorded", "full"):
         raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
+    if unknown := {*names} - {*STUDIES}:
+        raise InputError(f"no study is called {min(unknown)!r}; give a list of {', '.join(STUDIES)}")
     if profile == "full":
         folder = _retrain(names)
     frames = _cached(folder)
@@ -128,14 +130,12 @@ def _retrain(names: Iterable[str]) -> Path:
 
 
 def _missing(rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
-    for name, own in rows.groupby("study", sort=False):
+    for study, own in rows.groupby("study", sort=False):
         absent = own[own["run"].isna()]
         if len(absent):
             arms = absent.groupby(["shape", "condition"], observed=True)["seed"].agg(list)
-            text = ", ".join(
-                f"{shape} {condition} seeds {seeds}" for (shape, condition), seeds in arms.items()
-            )
-            yield str(name), f"{len(absent)} of {len(own)} runs are not recorded: {text}"
+            text = ", ".join(f"{shape} {name} seeds {seeds}" for (shape, name), seeds in arms.items())
+            yield str(study), f"{len(absent)} of {len(own)} runs are not recorded: {text}"
 
 
 def _cached(folder: Path) -> Results:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -63,11 +62,11 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
 
     Columns: outcome ("pass", or why not: "saturated", every tail of baseline and loss is one value; "no
     effect", the loss overlaps the baseline; "worse"; "negligible", below LEAST_EFFECT; "parity failed"; "tied
-    by control", overlaps a control; "beaten by control"; "incomplete", an arm is missing or has too few seeds
-    to lie below another), reason (one sentence), ratio (C0 / loss), ratio_low and ratio_high (its 95 %
-    bootstrap interval over the seeds), chance (that of two equal arms the loss's ranks are as low),
-    chamfer_ratio (loss / C0), welch (C0 - loss). A control without runs is passed over; without any control a
-    shape is incomplete. Raises InputError when an arm has a seed twice."""
+    by control", overlaps a control; "beaten by control"; "incomplete", an arm is missing, has a tail that
+    is not finite, or too few seeds to lie below another), reason (one sentence), ratio (C0 / loss), ratio_low
+    and ratio_high (its 95 % bootstrap interval over the seeds), chance (that of two equal arms the loss's
+    ranks are as low), chamfer_ratio (loss / C0), welch (C0 - loss). A control without runs is passed over;
+    without any control a shape is incomplete. Raises InputError when an arm has a seed twice."""
     if runs.duplicated(["shape", "condition", "seed"]).any():
         twice = runs[runs.duplicated(["shape", "condition", "seed"])].iloc[0]
         raise InputError(
@@ -97,10 +96,19 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
 
 def chance_below(a: np.ndarray, b: np.ndarray) -> float:
     """Return the share of all arrangements of the values of a (n,) and b (m,) in which a's ranks sum to at
-    most what they do: the exact one-sided p of the rank-sum test (equal values share their mean rank)."""
-    ranks = rankdata(np.concatenate([a, b]))
-    sums = np.array([sum(each) for each in combinations(ranks, len(a))])
-    return float(np.mean(sums <= ranks[: len(a)].sum()))
+    most what they do: the exact one-sided p of the rank-sum test (equal values share their mean rank); NaN
+    for values that are not finite."""
+    values = np.concatenate([a, b])
+    if not np.isfinite(values).all():
+        return math.nan
+    ranks = np.rint(2 * rankdata(values)).astype(int).tolist()
+    most = sum(ranks[: len(a)])
+    ways = np.zeros((len(a) + 1, most + 1), dtype=object)  # how many ranks, of which sum; whole numbers
+    ways[0, 0] = 1
+    for rank in ranks:
+        if rank <= most:
+            ways[1:, rank:] = ways[1:, rank:] + ways[:-1, : most + 1 - rank]
+    return float(ways[-1].sum() / math.comb(len(ranks), len(a)))
 
 
 def below(a: np.ndarray, b: np.ndarray) -> bool:
@@ -127,6 +135,9 @@ def _outcome(
 ) -> tuple[str, str]:
     own, baseline = tails[loss], tails[BASELINE]
     texts = {name: f"{name} {_range(values)}" for name, values in tails.items()}
+    lost = [name for name in (BASELINE, loss, *controls) if not np.isfinite(tails[name]).all()]
+    if lost:
+        return "incomplete", f"{', '.join(lost)} has a tail that is not finite"
     if len({*own, *baseline}) == 1 and len(own) > 1:
         return "saturated", f"every tail of {BASELINE} and {loss} is {short(own.mean())}"
     if any(math.comb(len(own) + len(tails[name]), len(own)) < LEVEL for name in (BASELINE, *controls)):

@@ -212,3 +212,15 @@ def test_a_file_is_certified_as_it_was_written(tmp_path):
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "plate.stl")
     certificate = certify_mesh(load_mesh(tmp_path / "plate.stl", welded=False))
     assert certificate.passed and certificate.genus == 2 and certificate.vertices_as_indexed == 3 * len(faces)
+
+
+@pytest.mark.parametrize("wrong", (np.nan, np.inf, "negative", "beyond"))
+def test_what_is_no_mesh_gets_no_certificate(wrong):
+    box = trimesh.creation.box()
+    vertices, faces = np.array(box.vertices), np.array(box.faces)
+    if isinstance(wrong, float):
+        vertices[0, 0] = wrong
+    else:
+        faces += len(vertices) * (1 if wrong == "beyond" else -1)
+    with pytest.raises(InputError, match="coordinates|not there"):
+        certify_mesh(Mesh(vertices, faces, "box"))

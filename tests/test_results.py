@@ -143,3 +143,9 @@ def test_full_trains_the_named_studies(tmp_path, monkeypatch):
 def test_a_missing_measurement_names_its_script():
     with pytest.raises(InputError, match=r"data_scripts/measure/none\.py makes it"):
         results.measured("none")
+
+
+@pytest.mark.parametrize("studies", (["tabel1"], "table1"))
+def test_an_unknown_study_is_named(studies):
+    with pytest.raises(InputError, match="no study is called"):
+        results.load("recorded", studies)

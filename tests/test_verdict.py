@@ -184,3 +184,17 @@ def test_claims_are_written_once_and_their_items_exist(tmp_path):
     assert claims.path.stat().st_mtime_ns == before, "the same text is not written again"
     with pytest.raises(InputError, match="no item 'Table 9'"):
         claims.add("Table 9", "a", 1, 1, True)
+
+
+def test_many_seeds_are_decided_and_a_tail_that_is_not_finite_is_not():
+    low, high = np.arange(20.0), np.arange(20.0) + 20.5
+    assert chance_below(low, high) == 1 / math.comb(40, 20)
+    rows = [
+        {"shape": "sphere", "condition": name, "seed": seed, "tail": tail, "chamfer": 0.01}
+        for name, tail in (("C0", 0.5), ("C1", 0.1), ("C2", 0.7))
+        for seed in range(3)
+    ]
+    assert verdicts(pd.DataFrame(rows))["outcome"]["sphere"] == "pass"
+    rows[0]["tail"] = math.nan
+    lost = verdicts(pd.DataFrame(rows)).loc["sphere"]
+    assert lost["outcome"] == "incomplete" and lost["reason"] == "C0 has a tail that is not finite"
