@@ -60,11 +60,20 @@ class Claims:
 
 def read_claims(folder: Path = FOLDER) -> pd.DataFrame:
     """Return the claims of all notebooks, with the column notebook; as strings. An empty frame where there
-    are none."""
-    frames = [
-        pd.read_csv(path, dtype=str, keep_default_na=False).assign(notebook=path.stem)
-        for path in sorted(folder.glob("*.csv"))
-    ]
+    are none. Raises InputError for a CSV of something else."""
+    frames = []
+    for path in sorted(folder.glob("*.csv")):
+        try:
+            frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8")
+        except (OSError, ValueError) as error:  # pandas' own are ValueErrors
+            raise InputError(f"cannot read the claims {path} ({error}); run the notebook again") from error
+        sound = isinstance(frame.index, pd.RangeIndex) and tuple(frame.columns) == COLUMNS
+        if not sound or not frame["holds"].isin(["yes", "no", MISSING]).all():
+            raise InputError(
+                f"{path} is no table of claims ({', '.join(COLUMNS)}: yes, no or {MISSING}); run the "
+                "notebook again, or move the file"
+            )
+        frames.append(frame.assign(notebook=path.stem))
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=[*COLUMNS, "notebook"])
 
 

@@ -29,11 +29,14 @@ import torch
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.book.build import read_chapter, told, write_figures
+from paper_artifact.claims import read_claims
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import Triangles
 from paper_artifact.export.viewer import html_page
 from paper_artifact.files import REPOSITORY, write_text
 from paper_artifact.pages import script_policy
+from paper_artifact.scene.colmap import read_model
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 from paper_artifact.topology import BettiLoss
 from paper_artifact.topology.bundle import build_from_mesh
@@ -285,3 +288,48 @@ def test_stated_numbers_work_at_any_scale(scale):
     points = torch.from_numpy(np.random.default_rng(0).random((80, 3)))
     plain, scaled = (BettiLoss((1, 1, 0))(points * factor).item() for factor in (1.0, scale))
     assert scaled == pytest.approx(plain)
+
+
+@pytest.mark.parametrize(
+    "text",
+    (
+        "",
+        "what;item\na;b\n",
+        "item,what,ours,paper,holds\na,b,c,d,e,f\n",
+        "item,what,ours,paper,holds\na,b,c,d,maybe\n",
+    ),
+)
+def test_a_table_of_something_else_is_no_claims(text, tmp_path):
+    (tmp_path / "01_a.csv").write_text(text)
+    with pytest.raises(InputError, match=r"01_a.csv"):
+        read_claims(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ("empty", "picture", "tags"))
+def test_a_notebook_of_others_makes_a_chapter_or_a_sentence(damage, tmp_path):
+    cells = [nbformat.v4.new_markdown_cell("\n\n"), nbformat.v4.new_code_cell("1")]
+    notebook = json.loads(json.dumps(nbformat.v4.new_notebook(cells=cells)))
+    if damage == "picture":
+        output = {"output_type": "display_data", "metadata": {}, "data": {"image/png": 1}}
+        notebook["cells"][1]["outputs"] = [output]
+    if damage == "tags":
+        notebook["cells"][1]["metadata"]["tags"] = None
+    path = tmp_path / "01_a.ipynb"
+    path.write_text(json.dumps(notebook))
+    if damage == "empty":
+        assert read_chapter(path, tmp_path / "none").title == "01_a"
+        return
+    with pytest.raises(InputError, match="cannot read the notebook 01_a"), told("01_a"):
+        write_figures(read_chapter(path, tmp_path / "none"), tmp_path / "figures", tmp_path)
+
+
+def test_an_id_that_comes_twice_in_a_colmap_model_is_refused(tmp_path):
+    pose = "{} 1 0 0 0 0 0 2 1 {}.png\n"
+    for name, text in (
+        ("cameras", "1 PINHOLE 8 8 9 9 4 4\n"),
+        ("images", pose.format(1, "a") + pose.format(1, "b")),
+        ("points3D", "".join(f"{i} {i % 3} {i % 2} {i} 0 0 0 1\n" for i in range(1, 6))),
+    ):
+        (tmp_path / f"{name}.txt").write_text(text)
+    with pytest.raises(InputError, match="the id 1 is there twice"):
+        read_model(tmp_path)

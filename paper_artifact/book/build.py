@@ -9,7 +9,8 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -125,9 +126,10 @@ def _build(
     pages = Pages(folder)
     figures = []
     for chapter in chapters:
-        pictures = write_figures(chapter, folder / "figures", drawn)
+        with told(chapter.name):
+            pictures = write_figures(chapter, folder / "figures", drawn)
+            content = pages.notebook_body(chapter, pictures)
         figures.append((chapter, list(dict.fromkeys(pictures.values()))))
-        content = pages.notebook_body(chapter, pictures)
         file = f"notebooks/{chapter.name}.html"
         pages.write("notebook.html", file, chapter.title, chapter=chapter, content=content)
     progress("pages")
@@ -205,22 +207,31 @@ def _scalars(runs: pd.DataFrame) -> pd.DataFrame:
 def read_chapter(path: Path, copy: Path) -> Chapter:
     """Return the notebook at `path`, with the outputs of its executed copy where that has the same code and
     no error. Raises InputError for a file that is no notebook."""
-    notebook = _read(path)
-    ran = _read(copy) if copy.is_file() else None
-    fresh = ran is not None and _code(ran) == _code(notebook) and not _failed(ran)
-    if fresh and ran is not None:
-        ran.cells = [cell for cell in ran.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
-        notebook = ran
-    heading = next((cell.source for cell in notebook.cells if cell.cell_type == "markdown"), path.stem)
-    title = re.sub(r"\s*\(.*\)\s*$", "", heading.splitlines()[0].lstrip("# "))
-    return Chapter(path.stem, title, notebook, fresh)
+    with told(path.stem):
+        notebook = nbformat.read(path, as_version=4)
+        ran = nbformat.read(copy, as_version=4) if copy.is_file() else None
+        fresh = ran is not None and _code(ran) == _code(notebook) and not _failed(ran)
+        if fresh and ran is not None:
+            hidden = "injected-parameters"
+            ran.cells = [cell for cell in ran.cells if hidden not in cell.metadata.get("tags", [])]
+            notebook = ran
+        nbformat.validate(notebook)
+        texts = [cell.source.strip() for cell in notebook.cells if cell.cell_type == "markdown"]
+        heading = next((text for text in texts if text.strip("# ")), path.stem)
+        title = re.sub(r"\s*\(.*\)\s*$", "", heading.splitlines()[0].lstrip("# ")) or path.stem
+        return Chapter(path.stem, title, notebook, fresh)
 
 
-def _read(path: Path) -> NotebookNode:
+@contextmanager
+def told(name: str) -> Iterator[None]:
+    """Say which notebook is damaged, whatever nbformat, nbconvert and base64 raise of it."""
     try:
-        return nbformat.read(path, as_version=4)
-    except Exception as error:  # nbformat raises many kinds
-        raise InputError(f"cannot read the notebook {path.name}; restore it with git") from error
+        yield
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:90]
+        raise InputError(f"cannot read the notebook {name} ({reason}); save it again") from error
 
 
 def _code(notebook: NotebookNode) -> list[str]:

@@ -229,6 +229,12 @@ def _points(ids: list[int], positions: list, colours: list, errors: list) -> tup
     return np.array(ids, dtype=np.int64), xyz, rgb.astype(np.uint8), np.array(errors, dtype=np.float64)
 
 
+def _add(found: dict[int, Any], key: int, value: Any) -> None:
+    if key in found:
+        raise ValueError(f"the id {key} is there twice")
+    found[key] = value
+
+
 def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
     stream, cameras = _Bytes(data), {}
     for _ in range(stream.take("Q")[0]):
@@ -239,7 +245,7 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
         count = PARAMETERS.get(model, BENT.get(model, (0, 0))[0])
         parameters = stream.take("d" * count)
         _pinhole_only(model, camera, parameters)
-        cameras[camera] = _checked_camera(model, width, height, parameters)
+        _add(cameras, camera, _checked_camera(model, width, height, parameters))
     stream.end()
     return cameras
 
@@ -248,7 +254,7 @@ def _read_images_binary(data: bytes) -> dict[int, Pose]:
     stream, images = _Bytes(data), {}
     for _ in range(stream.take("Q")[0]):
         image, *numbers, camera = stream.take("I7dI")
-        images[image] = _checked_pose(stream.name(), camera, tuple(numbers))
+        _add(images, image, _checked_pose(stream.name(), camera, tuple(numbers)))
         stream.skip(24 * stream.take("Q")[0])
     stream.end()
     return images
@@ -289,7 +295,7 @@ def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
             raise ValueError(f"unknown camera model {model}")
         numbers = tuple(map(float, parameters))
         _pinhole_only(model, whole(camera), numbers)
-        cameras[whole(camera)] = _checked_camera(model, whole(width), whole(height), numbers)
+        _add(cameras, whole(camera), _checked_camera(model, whole(width), whole(height), numbers))
     return cameras
 
 
@@ -300,7 +306,8 @@ def _read_images_text(data: bytes) -> dict[int, Pose]:
             after_pose = False  # one such line may follow an image; files made by hand have none
             continue
         image, *rest = line.split(maxsplit=9)
-        images[whole(image)] = _checked_pose(rest[8].rstrip(), whole(rest[7]), tuple(map(float, rest[:7])))
+        pose = _checked_pose(rest[8].rstrip(), whole(rest[7]), tuple(map(float, rest[:7])))
+        _add(images, whole(image), pose)
         after_pose = True
     return images
 

@@ -78,7 +78,7 @@ def scene_name(root: Path) -> str:
 def read_description(root: Path) -> dict:
     """Return what scene.json says, {} where there is none.
 
-    Raises InputError unless it is sound: background [r, g, b] in [0,1] and radius > 0.
+    Raises InputError unless it is sound: background [r, g, b] in [0,1], radius > 0, holdout a text.
     """
     file = inside(root, DESCRIPTION)
     if not file.is_file():
@@ -92,6 +92,7 @@ def read_description(root: Path) -> dict:
             and background.max() <= 1
             and 0 < description["radius"] < FARTHEST
             and isinstance(description.get("files", {}), dict)
+            and isinstance(description.get("holdout", ""), str)
         )
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
@@ -99,7 +100,8 @@ def read_description(root: Path) -> dict:
         ) from error
     if not sound:
         raise InputError(
-            f"{file} has a background or radius out of range; remove the scene's folder and build it again"
+            f"{file} has a background, radius or holdout (a text) out of range; remove the scene's folder "
+            "and build it again"
         )
     return description
 
