@@ -236,7 +236,7 @@ def _add(found: dict[int, Any], key: int, value: Any) -> None:
 
 
 def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
-    stream, cameras = _Bytes(data), {}
+    stream, cameras = _Bytes(data), dict[int, Intrinsics]()
     for _ in range(stream.take("Q")[0]):
         camera, number, width, height = stream.take("iiQQ")
         if not 0 <= number < MOST_MODELS:
@@ -251,7 +251,7 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
 
 
 def _read_images_binary(data: bytes) -> dict[int, Pose]:
-    stream, images = _Bytes(data), {}
+    stream, images = _Bytes(data), dict[int, Pose]()
     for _ in range(stream.take("Q")[0]):
         image, *numbers, camera = stream.take("I7dI")
         _add(images, image, _checked_pose(stream.name(), camera, tuple(numbers)))
@@ -288,7 +288,7 @@ def _rows(data: bytes) -> list[str]:
 
 
 def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
-    cameras = {}
+    cameras: dict[int, Intrinsics] = {}
     for row in _rows(data):
         camera, model, width, height, *parameters = row.split()
         if not model.replace("_", "").isupper():
@@ -300,7 +300,7 @@ def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
 
 
 def _read_images_text(data: bytes) -> dict[int, Pose]:
-    images, after_pose = {}, False
+    images, after_pose = dict[int, Pose](), False
     for line in _rows(data):
         if after_pose and _is_observations(line):
             after_pose = False  # one such line may follow an image; files made by hand have none
