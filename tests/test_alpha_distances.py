@@ -158,3 +158,14 @@ def test_a_plot_shows_every_bar():
     axes = plot_diagram(diagrams, plt.figure().subplots())
     assert [len(each.get_offsets()) for each in axes.collections] == [len(each) for each in diagrams]
     plt.close("all")
+
+
+@pytest.mark.parametrize("order", (1, 2, 10))
+def test_wasserstein_of_high_orders_nears_the_bottleneck_at_any_scale(order):
+    draws = np.random.default_rng(0)
+    a, b = (np.sort(draws.random((n, 2)), axis=1) for n in (50, 60))
+    for scale in (1e-200, 1.0, 1e200):
+        distance, least = wasserstein(scale * a, scale * b, order), bottleneck(scale * a, scale * b)
+        assert least * (1 - 1e-9) <= distance <= least * 110 ** (1 / order) * (1 + 1e-9)
+    with pytest.raises(InputError, match="give 1 to 10"):
+        wasserstein(a, b, 11)

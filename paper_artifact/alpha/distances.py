@@ -32,6 +32,8 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.errors import InputError
 
+HIGHEST = 10  # order of a Wasserstein distance; beyond, rounding chooses the matching
+
 
 def bottleneck(a: Any, b: Any) -> float:
     """Return the bottleneck distance (L-infinity) of bars a (k,2) and b (l,2), in the bars' own unit.
@@ -123,10 +125,10 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     (Σ d^order)^(1/order) over the best matching, d the distance of two bars or of a bar and the diagonal in
     the norm L^internal. For tensors it is differentiable by both; the matching is that of their values. Bars
     that never die as in `bottleneck`. Solved exactly, k × l numbers of memory: for some thousands of bars.
-    Raises InputError as `bottleneck` does, or for an order or norm below 1.
+    Raises InputError as `bottleneck` does, for an order or norm below 1, and for one above HIGHEST.
     """
-    if not (order >= 1 and internal >= 1):
-        raise InputError(f"order is {order} and internal {internal}; give numbers of at least 1")
+    if not (1 <= order <= HIGHEST and internal >= 1):
+        raise InputError(f"order is {order}, internal {internal}; give 1 to {HIGHEST}, and 1 or more")
     x: Any = _bars(a)
     y: Any = _bars(b)
     never = [np.flatnonzero(np.isinf(each[:, 1])) for each in (x, y)]
@@ -134,8 +136,11 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
         return np.inf
     some_x, some_y = (np.flatnonzero(np.isfinite(each[:, 1])) for each in (x, y))
     half = 2.0 ** (1.0 / internal - 1.0)  # a bar's distance to the diagonal, per lifetime
-    alone = [(half * (each[:, 1] - each[:, 0])) ** order for each in (x[some_x], y[some_y])]
-    between = np.linalg.norm(x[some_x][:, None] - y[some_y][None], internal, axis=2) ** order
+    alone = [half * (each[:, 1] - each[:, 0]) for each in (x[some_x], y[some_y])]
+    between = np.linalg.norm(x[some_x][:, None] - y[some_y][None], internal, axis=2)
+    largest = max(each.max(initial=0.0) for each in (*alone, between))
+    unit = 2.0 ** min(int(np.frexp(largest)[1]), 1023)  # so that no power leaves the range of float64
+    alone, between = [(each / unit) ** order for each in alone], (between / unit) ** order
     gain = np.minimum(between - alone[0][:, None] - alone[1][None], 0.0)  # of a pair, over both alone
     rows, columns = linear_sum_assignment(gain)
     real = gain[rows, columns] < 0.0
@@ -155,7 +160,8 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
         *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
         abs(x[by_birth[0], 0] - y[by_birth[1], 0]),
     ]
-    return norm(torch.cat(parts), order) if tensors else float(norm(np.concatenate(parts), order))
+    distance = norm((torch.cat(parts) if tensors else np.concatenate(parts)) / unit, order) * unit
+    return distance if tensors else float(distance)
 
 
 def persistence_image(
