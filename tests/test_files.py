@@ -162,6 +162,14 @@ def test_files_and_folders_have_the_rights_that_the_user_wants(tmp_path):
         } == {0o666 & ~mask}
 
 
+def test_a_folder_of_the_users_that_looks_temporary_stays(tmp_path):
+    for name in (".partial-thesis", ".partial-empty"):
+        (tmp_path / name).mkdir()
+    (tmp_path / ".partial-thesis" / "lock").write_text("")
+    write_text(tmp_path / "new", "x")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 def test_a_link_is_followed_and_a_pipe_refused(tmp_path):
     (tmp_path / "link").symlink_to("real")
     write_text(tmp_path / "real", "old")

@@ -93,7 +93,7 @@ def test_odd_files_give_a_result(name, verb, tmp_path, capsys):
     failed = verb == "certify" and "FAIL" in printed.splitlines()[0]
     assert code == int(failed) and error == "", error
     assert all((out / expected).is_file() for expected in EXPECTED[verb])
-    assert not list(out.rglob(".partial-*")) and printed.strip()
+    assert not list(out.rglob(".paper_artifact-partial-*")) and printed.strip()
     for written in out.rglob("*.json"):
         json.loads(written.read_text())
 

@@ -82,7 +82,7 @@ def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys
     assert "8 photographs registered" in told.out and "8 of 9 photographs registered, not z.jpg" in told.err
     scene = load_scene(tmp_path / "scene")
     assert len(scene.names) == 8 and max(scene.images.shape[2:]) == 200 and len(scene.points) > 500
-    assert not list(tmp_path.glob(".partial-*"))
+    assert not list(tmp_path.glob(".paper_artifact-partial-*"))
     facts = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert np.allclose(facts["background"], 0.72, atol=0.1)  # the grey room
     assert centres_off(scene) < 0.03  # the cameras stand as they truly stood
@@ -230,7 +230,7 @@ def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path
     assert main(words) == 1
     told = capsys.readouterr().err
     assert "0 of 3 photographs register" in told and "overlapping" in told
-    assert not (tmp_path / "scene").exists() and not list(tmp_path.glob(".partial-*"))
+    assert not (tmp_path / "scene").exists() and not list(tmp_path.glob(".paper_artifact-partial-*"))
 
 
 def test_without_pycolmap_it_is_named(tmp_path, capsys, monkeypatch):

@@ -46,7 +46,7 @@ class Installed:
         shutil.copytree(
             REPOSITORY / "paper_artifact",
             source / "paper_artifact",
-            ignore=shutil.ignore_patterns("__pycache__", ".partial-*"),
+            ignore=shutil.ignore_patterns("__pycache__", ".paper_artifact-partial-*"),
         )
         for name in ("pyproject.toml", "README.md", "LICENSE"):
             shutil.copy(REPOSITORY / name, source / name)
