@@ -18,7 +18,7 @@ from paper_artifact.files import check_archive
 from paper_artifact.formats.gltf import read_gltf
 from paper_artifact.formats.polygons import read_obj, read_off, read_ply, read_stl
 from paper_artifact.frame import SAME, Frame
-from paper_artifact.sampling import face_areas
+from paper_artifact.sampling import check_indices, face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
@@ -87,6 +87,16 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
+def check_arrays(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
+    """Raise InputError, naming `name`, for faces (F,3) of other vertices than these (V,3), NaN, infinity."""
+    check_indices(vertices, faces, name)
+    if not np.isfinite(vertices).all():
+        count = int((~np.isfinite(vertices).all(axis=1)).sum())
+        raise InputError(
+            f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again"
+        )
+
+
 def checked_mesh(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -103,12 +113,7 @@ def checked_mesh(
     faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0:
         raise InputError(f"{name} has no triangles; give a surface mesh, not points or curves")
-    _check_indices(vertices, faces, name)
-    if not np.isfinite(vertices).all():
-        count = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise InputError(
-            f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again"
-        )
+    check_arrays(vertices, faces, name)
     kept_vertices, kept_faces = weld(vertices, faces) if welded else (vertices, faces)
     extent = np.ptp(kept_vertices, axis=0) if len(kept_faces) else np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -169,7 +174,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
         )
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     for vertices, faces in parts:
-        _check_indices(vertices, faces, str(path))
+        check_indices(vertices, faces, str(path))
     vertices = np.concatenate([vertices for vertices, _ in parts])
     faces = np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets, strict=True)])
     used, finite = np.zeros(len(vertices), bool), np.isfinite(vertices).all(axis=1)
@@ -203,15 +208,6 @@ def _zipped(path: Path, welded: bool) -> Mesh:
         ) from error
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is damaged or no zip archive ({error}); copy it again") from error
-
-
-def _check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
-    wrong = faces[(faces < 0) | (faces >= len(vertices))]
-    if wrong.size:
-        raise InputError(
-            f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}; "
-            "the file is damaged or cut off, export it again"
-        )
 
 
 def betti_text(betti: Sequence[int]) -> str:

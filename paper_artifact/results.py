@@ -103,8 +103,8 @@ def load(profile: str = "recorded", studies: Iterable[str] = (), folder: Path = 
     profile "recorded": the records as they are; prints one line for each of the named studies (default: all)
     that lacks runs. "full": trains every run of the named studies into RETRAINED (hours; recorded ones there
     are kept) and returns the frames of that folder. The first call reads JSON (half a minute for 926 records)
-    and stores the frames beside the records; later calls take a second. Raises InputError for a damaged
-    record, an unknown profile or study."""
+    and keeps the study's frames; later calls take a second. Raises InputError for a damaged record, an
+    unknown profile or study."""
     names = tuple(studies) or tuple(STUDIES)
     if profile not in ("recorded", "full"):
         raise InputError(f"the profile {profile!r} is unknown; use 'recorded' or 'full'")
@@ -139,22 +139,23 @@ def _missing(rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
 
 
 def _cached(folder: Path) -> Results:
-    """Return the frames, from the file that keeps them when no record and none of the code that makes them
-    has changed."""
+    """Return the frames; of the study's own folders from the file that keeps them, where neither records nor
+    the code have changed. A pickle can run code: none beside others' records is opened."""
     paths = sorted(Path(folder).glob("[!.]*.json"))
     states = [(path.name, state.st_size, state.st_mtime_ns) for path in paths for state in (path.stat(),)]
-    sources = [Path(__file__), MEASURED / "starts.csv"]
-    code = [source.read_bytes() for source in sources if source.is_file()]
+    code = [each.read_bytes() for each in (Path(__file__), MEASURED / "starts.csv") if each.is_file()]
     key = hashlib.sha256(repr((states, code, str(STUDIES), pd.__version__)).encode()).digest()
-    kept = Path(folder).parent / ".frames" / f"{Path(folder).name}.pickle"
-    if kept.is_file() and kept.stat().st_uid == os.getuid():
+    kept = Path(folder).resolve().parent / ".frames" / f"{Path(folder).name}.pickle"
+    own = kept.parent.parent in (RESULTS.resolve(), RETRAINED.resolve())
+    if own and kept.is_file() and kept.stat().st_uid == os.getuid():
         with suppress(Exception), open(kept, "rb") as file:  # cut off or of another pandas: made again
             if file.read(len(key)) == key:
                 kept_frames: Frames = pickle.load(file)
                 return Results(*kept_frames, Path(folder))
     frames = _read(paths)
-    with suppress(InputError, OSError), atomic_path(kept) as partial:  # where it cannot be written, it is not
-        partial.write_bytes(key + pickle.dumps(frames, protocol=5))
+    if own:
+        with suppress(InputError, OSError), atomic_path(kept) as partial:  # where it can be written
+            partial.write_bytes(key + pickle.dumps(frames, protocol=5))
     return Results(*frames, Path(folder))
 
 

@@ -10,6 +10,16 @@ from paper_artifact.errors import InputError, require_memory
 MANY, BYTES = 10**7, 150  # samples for which memory is asked about first, and what one takes
 
 
+def check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
+    """Raise InputError, naming `name`, where a face (F,3) refers to none of the vertices (V,3)."""
+    wrong = faces[(faces < 0) | (faces >= len(vertices))]
+    if wrong.size:
+        raise InputError(
+            f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}, counted from 0; the "
+            "file is damaged or cut off, export it again"
+        )
+
+
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the areas (F,) float64 of triangles `faces` (F,3), in squared units of `vertices` (V,3)."""
     corner = np.asarray(vertices, dtype=np.float64)[faces]
@@ -42,11 +52,7 @@ def sample_surface(
         require_memory(BYTES * count, f"{count} samples", "give fewer samples")
     vertices = np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise InputError(
-            f"a face refers to vertex {faces.min() if faces.min() < 0 else faces.max()} of {len(vertices)}; "
-            "faces count vertices from 0"
-        )
+    check_indices(vertices, faces, "the surface")
     mass = face_areas(vertices, faces)
     if weights is not None:
         mass = mass * np.asarray(weights, dtype=np.float64)

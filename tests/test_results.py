@@ -109,8 +109,19 @@ def test_step_0_is_there_where_a_run_starts_as_the_study_does(tables):
     assert "B1" not in set(first["condition"]), "its levers act on the first triangles"
 
 
-def test_what_is_missing_is_said_once_and_a_folder_s_frames_are_kept(tmp_path, capsys):
+def test_a_pickle_beside_records_of_others_is_not_opened(tmp_path, monkeypatch):
+    write_baseline(tmp_path / "runs", "sphere", 0)
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    results.load(folder=tmp_path / "runs")
+    assert (tmp_path / ".frames" / "runs.pickle").is_file()
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "mine")
+    monkeypatch.setattr("pickle.load", lambda file: pytest.fail("opened"))
+    assert len(results.load(folder=tmp_path / "runs").runs) == 1
+
+
+def test_what_is_missing_is_said_once_and_the_study_s_frames_are_kept(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "runs"
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
     for shape, seed in product(("sphere", "torus"), range(3)):
         write_baseline(folder, shape, seed)
     first = results.load(studies=["baseline"], folder=folder)

@@ -23,7 +23,7 @@ from paper_artifact.certify.homology import (
     open_edge_count,
 )
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import Mesh, weld
+from paper_artifact.mesh import Mesh, check_arrays, weld
 
 LONGEST = 12  # components that are listed
 NEAR = 1e-6  # of the diagonal: single precision's rounding, a few times over
@@ -118,15 +118,11 @@ def certify_mesh(
 
     with_boundary: certify a surface with boundary as such, instead of failing its open edges; None: only
     where open edges are all that is wrong. progress: called with the name of each stage as it begins. Raises
-    InputError when nothing is left after the weld, and for what is no mesh: coordinates that are not finite,
-    faces of vertices that are not there.
+    InputError when nothing is left after the weld, and as `check_arrays` does.
     """
     vertices, faces, name = mesh.vertices, mesh.faces, mesh.name
     stage = progress or (lambda name: None)
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{name} has NaN or infinite coordinates; repair or export it again")
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise InputError(f"{name} has faces of vertices that are not there; faces count vertices from 0")
+    check_arrays(vertices, faces, name)
     stage("weld")
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
