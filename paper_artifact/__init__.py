@@ -4,4 +4,4 @@ Data flows one way: scene → soup → train → evaluate → record → report 
 sub-package is importable alone; this file imports none of them. Rooms and rules: ARCHITECTURE.md.
 """
 
-__version__ = "0.3.0.dev0"
+__version__ = "0.3.0"

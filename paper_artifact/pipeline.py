@@ -279,9 +279,10 @@ def run(
             importance=importance,
             tell=tell,
         )
+        kept = save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
         sections = {
             "images": _holdout_section(state.soup, scene),
-            "soup": {"triangles": len(state.soup), "resamplings": state.resamplings},
+            "soup": {"triangles": len(state.soup), "resamplings": state.resamplings, "sha256": kept},
             "cpu_seconds": round(time.process_time() - cpu, 2),
             "resumed_at": state.resumed_at,
             **({"warnings": state.warnings} if state.warnings else {}),
@@ -292,7 +293,6 @@ def run(
         losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
         scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
         record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
-        save_soup(results / "soups" / f"{path.stem}.npz", state.soup, scene.frame)
         write_record(record, results / "runs")
         checkpoint.unlink(missing_ok=True)
         return _uncontradicted(record, strict)

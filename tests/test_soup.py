@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -167,3 +169,17 @@ def test_a_soup_that_is_foreign_or_cut_off_is_refused(stored, changes, words):
         path.write_bytes(data[: int(changes * len(data)) if isinstance(changes, float) else changes])
     with pytest.raises(InputError, match=words):
         load_soup(path)
+
+
+@pytest.mark.parametrize("changes", [{"opacity": np.zeros((40, 3), np.float32)}, {"offset": np.ones(3)}])
+def test_a_soup_that_is_not_its_records_is_refused(tmp_path, changes):
+    path, record = tmp_path / "soups" / "a.npz", tmp_path / "runs" / "a.json"
+    digest = save_soup(path, initial_soup(cloud(5, 60), 40, 3))
+    record.parent.mkdir()
+    record.write_text(json.dumps({"soup": {"sha256": digest}}))
+    assert len(load_soup(path)) == 40
+    rewritten(path, **changes)
+    with pytest.raises(InputError, match="not the soup of its record"):
+        load_soup(path)
+    record.write_text(json.dumps({"soup": {"triangles": 40}}))  # as the records of version 0.2.0
+    assert len(load_soup(path)) == 40

@@ -7,7 +7,9 @@ features mean nothing without it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_npz, write_npz
+from paper_artifact.files import load_json, load_npz, write_npz
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays, sigmoid
@@ -92,8 +94,9 @@ def initial_mlp(seed: int) -> tuple[torch.Tensor, ...]:
     return tuple(tensors)
 
 
-def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> None:
-    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically.
+def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> str:
+    """Write the soup as .npz (vertices, features, opacity, mlp_0 … mlp_5), atomically, and return the SHA-256
+    of its arrays, which the run's record keeps.
 
     frame: of its coordinates, kept beside them ("offset", "exponent") where it is not the user's. Raises
     InputError when the folder is not writable or the disk is full.
@@ -104,10 +107,21 @@ def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> None:
     if frame != SAME:
         arrays |= {"offset": np.array(frame.offset), "exponent": np.array(frame.exponent)}
     write_npz(path, arrays)
+    return _digest(arrays)
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the SHA-256 of the arrays, by name, as little-endian numbers."""
+    state = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        state.update(f"{name} {array.dtype.name} {array.shape}".encode())
+        state.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
+    return state.hexdigest()
 
 
 def load_soup(path: Path | str) -> Soup:
-    """Read a soup that `save_soup` wrote. Raises InputError when the file is missing, damaged or no soup."""
+    """Read a soup that `save_soup` wrote. Raises InputError when the file is missing, damaged, no soup, or
+    soups/NAME.npz but not the soup of which the record runs/NAME.json beside it speaks."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
@@ -124,6 +138,13 @@ def load_soup(path: Path | str) -> Soup:
         raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
     if not all(torch.isfinite(tensor).all() for tensor in tensors):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")
+    record, digest = path.parent.parent / "runs" / f"{path.stem}.json", None
+    with suppress(OSError, ValueError, KeyError, TypeError):  # without a record of it, it is what it is
+        digest = load_json(record)["soup"]["sha256"] if path.parent.name == "soups" else None
+    if digest not in (None, _digest(data)):
+        raise InputError(
+            f"{path} is not the soup of its record {record}; move one of them, or train it again"
+        )
     return soup_of(tensors)
 
 
