@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
@@ -29,7 +29,7 @@ import numpy as np
 import pandas as pd
 
 from paper_artifact.catalogue import CONDITIONS, SHAPES, shape_row, study_config
-from paper_artifact.config import AllocationConfig, LossConfig
+from paper_artifact.config import AllocationConfig, LossConfig, RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY, RESULTS, atomic_path
 from paper_artifact.record.store import read_record, recorded_path
@@ -39,6 +39,17 @@ PUBLISHED = REPOSITORY / "results" / "published"  # committed, also where runs a
 MEASURED = REPOSITORY / "results" / "measured"  # one CSV per script of data_scripts/measure
 RETRAINED = RESULTS / "retrained"  # the profile "full" writes here
 
+# What a record must have for `_run_row`, and the columns of a refresh, for folders without any.
+NOTHING: dict[str, Any] = {
+    "config": config_values(RunConfig("")),
+    "host": {"cpu": "", "peak_memory_mib": 0},
+    **dict.fromkeys(("tails", "images", "soup", "timings"), {}),
+    "cpu_seconds": 0,
+}
+REFRESH = (
+    *("run", "step", "samples", "floor", "live_floor", "dimension", "significant", "matched", "recruited"),
+    *("unreached", "diagonal", "gabriel_failures", "wanted", "surplus", "residual", "margins"),
+)
 Frames = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame]
 
 
@@ -49,15 +60,15 @@ class Results:
     runs, one row per record: run (the record's file name without ".json"); shape, condition, seed, dimension
     (judged), group; every setting of the run (steps, budget, views …), of its loss with the prefix loss_
     (loss_rho, loss_samples …) and of its allocation prior with the prefix allocation_; NaN where a run has no
-    such part. Results: tail (mean bottleneck distance to the target in the judged dimension over the last
-    three dumps: steps 2300, 2400, 2500 of 2,500) and tail_h0 … tail_h2; chamfer (mean of both directions,
-    last dumps), hausdorff95; count (significant bars at the end in the judged dimension; the infinite
-    component is not counted) and count_h0 … count_h2; expected (the count of the shape's target bundle in the
-    judged dimension, else of the mesh's Betti numbers; NaN where neither is known); psnr (dB) and ssim over
-    the held-out views; triangles. The loss: lambda_peak, photo_norm, topo_norm (calibration); bundle_h0 …
-    bundle_h2 (the target's bars (k,2)); statement (stated Betti numbers); events (list of the topology log's
-    other entries). Ground truth: diagonal (world units), floor, betti_h0 … betti_h2. Machine: cpu,
-    cpu_seconds, seconds_* by stage (wall time), peak_memory_mib.
+    such part, no ground truth, no dumps or no held-out views. Results: tail (mean bottleneck distance to the
+    target in the judged dimension over the last three dumps: steps 2300, 2400, 2500 of 2,500) and tail_h0 …
+    tail_h2; chamfer (mean of both directions, last dumps), hausdorff95; count (significant bars at the end in
+    the judged dimension; the infinite component is not counted) and count_h0 … count_h2; expected (the count
+    of the shape's target bundle in the judged dimension, else of the mesh's Betti numbers; NaN where neither
+    is known); psnr (dB) and ssim over the held-out views; triangles. The loss: lambda_peak, photo_norm,
+    topo_norm (calibration); bundle_h0 … bundle_h2 (the target's bars (k,2)); statement (stated Betti
+    numbers); events (list of the topology log's other entries). Ground truth: diagonal (world units), floor,
+    betti_h0 … betti_h2. Machine: cpu, cpu_seconds, seconds_* by stage (wall time), peak_memory_mib.
 
     dumps, one row per evaluation during training: run, shape, condition, seed, step, bottleneck and count
     (judged dimension), bottleneck_h0 …, count_h0 …, bars_h0 … (arrays (k,2) of births and deaths; the
@@ -90,7 +101,8 @@ class Results:
             raise InputError(f"unknown study {unknown[0]!r}; choose among {', '.join(STUDIES)}")
         rows = pd.concat([self.studies[self.studies["study"] == name] for name in studies])
         rows = rows.dropna(subset="run").drop_duplicates("run")[["study", "setting", "run"]]
-        return rows.merge(self.runs, on="run", validate="1:1")
+        # A folder may also hold runs without ground truth, whose judged dimension is NaN.
+        return rows.merge(self.runs, on="run", validate="1:1").astype({"dimension": int})
 
     def soup_path(self, run: str) -> Path:
         """Return the path of a run's trained soup; not every soup is committed."""
@@ -160,7 +172,9 @@ def _cached(folder: Path) -> Results:
 
 
 def _read(paths: list[Path]) -> Frames:
-    runs, dumps, refreshes = [], [], []
+    runs: list[dict[str, Any]] = []
+    dumps: list[dict[str, Any]] = []
+    refreshes: list[dict[str, Any]] = []
     starts = _starts()
     for path in paths:
         record = read_record(path)
@@ -175,59 +189,48 @@ def _read(paths: list[Path]) -> Frames:
                 refreshes += [{"run": path.stem} | each for each in _refresh_rows(entry)]
     settings = [f"loss_{field.name}" for field in fields(LossConfig)]
     settings += [f"allocation_{field.name}" for field in fields(AllocationConfig)]
-    frame = pd.DataFrame(runs)
+    frame = _frame(runs, _run_row("", NOTHING))
     frame = frame.reindex(columns=[*frame, *(name for name in settings if name not in frame)])
-    if len(frame):
-        frame["expected"] = _expected(frame)
+    frame["expected"] = _expected(frame)
     studies = pd.DataFrame(_study_rows({row["run"] for row in runs}, paths[0].parent if paths else RESULTS))
-    others = pd.DataFrame(dumps), pd.DataFrame(refreshes)
-    return _ordered(frame), _ordered(others[0]), _ordered(others[1]), _ordered(studies)
+    dumped = _frame(dumps, ("run", "shape", "condition", "seed", *_dump_row({}, np.nan)))
+    return _ordered(frame), _ordered(dumped), _frame(refreshes, REFRESH), _ordered(studies)
+
+
+def _frame(rows: list[dict[str, Any]], columns: Iterable[str]) -> pd.DataFrame:
+    """Return the frame of these rows, with these columns where there is none."""
+    return pd.DataFrame(rows, columns=None if rows else [*columns])
 
 
 def _run_row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    config, mesh, tails = record["config"], record["mesh"], record["tails"]
+    config, mesh, tails = record["config"], record.get("mesh") or {}, record["tails"]
+    judged = mesh.get("dimension", np.nan)
     shape = shape_row(config["shape"])
-    row: dict[str, Any] = {
-        "run": name,
-        "shape": config["shape"],
-        "condition": config["condition"],
-        "seed": config["seed"],
-    }
-    row |= {"dimension": mesh["dimension"], "group": shape.group if shape else ""}
+    row: dict[str, Any] = {"run": name} | {key: config[key] for key in ("shape", "condition", "seed")}
+    row |= {"dimension": judged, "group": shape.group if shape else ""}
     parts = {"loss": config.get("loss") or {}, "allocation": config.get("allocation") or {}}
     row |= {key: value for key, value in config.items() if key not in parts}
     row |= {f"{part}_{key}": value for part, values in parts.items() for key, value in values.items()}
-    row["tail"] = tails["bottleneck"][mesh["dimension"]]
-    row["count"] = tails["counts"][mesh["dimension"]]
-    row |= _by_dimension(tail=tails["bottleneck"], count=tails["counts"])
-    row |= {key: tails[key] for key in ("chamfer", "hausdorff95")}
-    row |= {key: record["images"][key] for key in ("psnr", "ssim")} | {
-        "triangles": record["soup"]["triangles"]
-    }
+    row |= _by_dimension(judged, tail=tails.get("bottleneck"), count=tails.get("counts"))
+    row |= _numbers(tails, "chamfer", "hausdorff95") | _numbers(record["images"], "psnr", "ssim")
+    row |= _numbers(record["soup"], "triangles")
     events = [entry for entry in record.get("topology") or () if entry["event"] != "refresh"]
     calibrated: dict = next((entry for entry in events if entry["event"] == "lambda"), {})
     row |= {key: calibrated.get(key) for key in ("lambda_peak", "photo_norm", "topo_norm")}
     bars = (record.get("bundle") or {}).get("bars")
     row |= {f"bundle_h{d}": None if bars is None else _bars(bars[d]) for d in range(3)}
     row |= {"statement": (record.get("statement") or {}).get("betti"), "events": events}
-    row |= {"diagonal": mesh["diagonal"], "floor": mesh["floor"]} | _by_dimension(
-        betti=mesh["betti"] or (None,) * 3
-    )
+    row |= _numbers(mesh, "diagonal", "floor") | _by_dimension(None, betti=mesh.get("betti"))
     row |= {"cpu": record["host"]["cpu"], "cpu_seconds": record["cpu_seconds"]}
     row |= {f"seconds_{stage}": seconds for stage, seconds in record["timings"].items()}
     return row | {"peak_memory_mib": record["host"]["peak_memory_mib"]}
 
 
-def _dump_row(dump: Mapping[str, Any], dimension: int) -> dict[str, Any]:
-    row = {
-        "step": dump["step"],
-        "bottleneck": dump["bottleneck"][dimension],
-        "count": dump["counts"][dimension],
-    }
-    row |= {key: dump[key] for key in ("floor", "chamfer", "hausdorff95", "triangles")}
-    return row | _by_dimension(
-        bottleneck=dump["bottleneck"], count=dump["counts"], bars=map(_bars, dump["bars"])
-    )
+def _dump_row(dump: Mapping[str, Any], judged: Any) -> dict[str, Any]:
+    row = {"step": dump.get("step")}
+    row |= _by_dimension(judged, bottleneck=dump.get("bottleneck"), count=dump.get("counts"))
+    row |= _numbers(dump, "floor", "chamfer", "hausdorff95", "triangles")
+    return row | {f"bars_h{d}": _bars(bars) for d, bars in enumerate(dump.get("bars") or [[]] * 3)}
 
 
 def _refresh_rows(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -243,8 +246,24 @@ def _refresh_rows(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield common | {"dimension": int(dimension)} | counts | {"residual": max(off, default=np.nan)}
 
 
-def _by_dimension(**columns: Iterable[Any]) -> dict[str, Any]:
-    return {f"{name}_h{d}": value for name, values in columns.items() for d, value in enumerate(values)}
+def _by_dimension(judged: Any, **columns: Sequence[Any] | None) -> dict[str, Any]:
+    """Return {name: value in the judged dimension} of every column, but for None, and {name_h0: value, …};
+    NaN for what is not known."""
+    found = {
+        name: [np.nan if each is None else each for each in values or [None] * 3]
+        for name, values in columns.items()
+    }
+    known = judged in (0, 1, 2)
+    row = (
+        {name: values[judged] if known else np.nan for name, values in found.items()}
+        if judged is not None
+        else {}
+    )
+    return row | {f"{name}_h{d}": value for name, values in found.items() for d, value in enumerate(values)}
+
+
+def _numbers(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: np.nan if values.get(name) is None else values[name] for name in names}
 
 
 def _bars(bars: Any) -> np.ndarray:
@@ -257,14 +276,14 @@ def _expected(runs: pd.DataFrame) -> pd.Series:
     numbers say."""
 
     def held(row: Any) -> float:
-        bars = getattr(row, f"bundle_h{row.dimension}")
+        bars = getattr(row, f"bundle_h{row.dimension:.0f}", None)
         return np.nan if bars is None else len(bars)
 
     own = pd.Series([held(row) for row in runs.itertuples()], index=runs.index)
     study = {row.name: row.samples for row in SHAPES}
     usual = runs["loss_samples"].astype(object) == runs["shape"].map(study)
     by_shape = own[usual & own.notna()].groupby(runs["shape"]).first()
-    betti = [getattr(row, f"betti_h{row.dimension}") for row in runs.itertuples()]
+    betti = [getattr(row, f"betti_h{row.dimension:.0f}", np.nan) for row in runs.itertuples()]
     known = pd.to_numeric(pd.Series(betti, index=runs.index)) - (runs["dimension"] == 0)
     return own.fillna(runs["shape"].map(by_shape)).fillna(known)
 
@@ -282,12 +301,8 @@ def _start_of(config: Mapping[str, Any], starts: Mapping) -> dict[str, float] | 
     usual = _usual(config["shape"])
     allocation = config.get("allocation") or {}
     noisy = any(config.get(name) for name in ("cloud_noise", "cloud_outliers", "cloud_missing"))
-    other = (
-        config["budget"] != usual.budget
-        or config["initial_ratio"] != usual.initial_ratio
-        or config.get("given")
-    )
-    if other or noisy or allocation.get("levers") == "start":
+    other = any(config[name] != getattr(usual, name) for name in ("budget", "initial_ratio"))
+    if other or config.get("given") or noisy or allocation.get("levers") == "start":
         return None
     return starts.get((config["shape"], config["seed"]))
 
@@ -302,23 +317,17 @@ def _study_rows(recorded: set[str], folder: Path) -> Iterator[dict[str, Any]]:
         for block in blocks:
             for config in block.configs():
                 path = recorded_path(config, folder)
-                row = {
-                    "study": name,
-                    "setting": block.setting,
-                    "shape": config.shape,
-                    "condition": config.condition,
-                }
+                row = {"study": name, "setting": block.setting, "shape": config.shape}
                 run = path.stem if path is not None and path.stem in recorded else None
-                yield row | {"seed": config.seed, "run": run}
+                yield row | {"condition": config.condition, "seed": config.seed, "run": run}
 
 
 def _ordered(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the frame with shape and condition as ordered categories and with numbers as numbers."""
+    """Return the frame with shape and condition as ordered categories."""
     for column, rows in (("shape", SHAPES), ("condition", CONDITIONS)):
-        if column in frame:
-            known = [row.name for row in rows]
-            names = known + sorted(set(frame[column]) - set(known))
-            frame[column] = pd.Categorical(frame[column], names, ordered=True)
+        known = [row.name for row in rows]
+        names = known + sorted(set(frame[column]) - set(known))
+        frame[column] = pd.Categorical(frame[column], names, ordered=True)
     return frame
 
 
@@ -336,6 +345,8 @@ def _published() -> pd.DataFrame:
         else:
             own["printed"] = own["value"]
         frames.append(own.assign(table=table, kind=kind))
+    if not frames:
+        raise InputError(f"{PUBLISHED} holds no table of the paper; work in a checkout")
     frame = pd.concat(frames, ignore_index=True)
     numbers = ("dimension", "value", "sd", "ratio", "seeds", "seed", "samples", "genus")
     frame = frame.assign(
@@ -343,20 +354,8 @@ def _published() -> pd.DataFrame:
     )
     texts = frame.columns.difference(numbers)
     frame[texts] = frame[texts].fillna("")
-    columns = [
-        "table",
-        "shape",
-        "dimension",
-        "condition",
-        "seed",
-        "samples",
-        "quantity",
-        "value",
-        "printed",
-        "sd",
-        "ratio",
-    ]
-    columns += ["seeds", "knob", "setting", "note", "source"]
+    columns = ["table", "shape", "dimension", "condition", "seed", "samples", "quantity", "value", "printed"]
+    columns += ["sd", "ratio", "seeds", "knob", "setting", "note", "source"]
     return frame.reindex(columns=[*columns, *frame.columns.difference([*columns, "kind"])])
 
 
@@ -369,24 +368,17 @@ def published(*tables: str, quantity: str = "") -> pd.DataFrame:
     otherwise), value, printed (the same as the paper prints it, a text), sd, ratio (C0 / this, as printed),
     seeds (how many), knob, setting, note, source. NaN and "" where the paper gives nothing. Tables S6 and S12
     hold texts: one row per cell, quantity is its column, shape its row, value NaN. quantity: only these rows.
-    Raises InputError for an unknown table."""
+    Raises InputError for an unknown table, and outside of a checkout."""
     frame = _published()
     known = frame["table"].unique()
     for table in tables:
         if table not in known:
-            where = (
-                f"known: {', '.join(known)}" if len(known) else f"{PUBLISHED} holds none: work in a checkout"
-            )
-            raise InputError(f"the paper has no table {table!r} here; {where}")
+            raise InputError(f"the paper has no table {table!r} here; known: {', '.join(known)}")
     chosen = frame[frame["table"].isin(tables)] if tables else frame
     if quantity:
         chosen = chosen[chosen["quantity"] == quantity]
-    place = {table: number for number, table in enumerate(tables)}  # as asked for
-    return (
-        chosen.sort_values("table", key=lambda names: names.map(place), kind="stable")
-        if tables
-        else chosen.copy()
-    )
+    place = {table: number for number, table in enumerate(tables or known)}  # as asked for
+    return chosen.sort_values("table", key=lambda names: names.map(place), kind="stable")
 
 
 def measured(name: str) -> pd.DataFrame:

@@ -34,8 +34,10 @@ def arms(runs: pd.DataFrame) -> pd.DataFrame:
     the tails, chamfer (mean), and ratio (mean of the same shape's C0 / mean; NaN for C0 and where
     the shape has none).
 
-    runs: `results.Results.runs` or rows of it; columns shape, condition, seed, tail, chamfer.
+    runs: `results.Results.runs` or rows of it; columns shape, condition, seed, tail, chamfer. Raises
+    InputError when one of them but chamfer is missing.
     """
+    runs = _with_columns(runs)
     grouped = runs.groupby(["shape", "condition"], observed=True)
     tails = grouped["tail"]
     table = tails.agg(seeds="size", mean="mean", sd="std", low="min", high="max")
@@ -46,6 +48,14 @@ def arms(runs: pd.DataFrame) -> pd.DataFrame:
         table.index.get_level_values("condition") == BASELINE, np.nan, over / table["mean"]
     )
     return table
+
+
+def _with_columns(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the frame; where it has no rows, with the columns that are read."""
+    missing = [name for name in ("shape", "condition", "seed", "tail") if name not in runs]
+    if missing and len(runs):
+        raise InputError(f"the frame of runs has no column {', '.join(missing)}; give rows of `results.load`")
+    return runs.assign(**dict.fromkeys(missing))
 
 
 def welch(a: Sequence[float], b: Sequence[float]) -> float:
@@ -63,10 +73,13 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
     Columns: outcome ("pass", or why not: "saturated", every tail of baseline and loss is one value; "no
     effect", the loss overlaps the baseline; "worse"; "negligible", below LEAST_EFFECT; "parity failed"; "tied
     by control", overlaps a control; "beaten by control"; "incomplete", an arm is missing, has a tail that
-    is not finite, or too few seeds to lie below another), reason (one sentence), ratio (C0 / loss), ratio_low
-    and ratio_high (its 95 % bootstrap interval over the seeds), chance (that of two equal arms the loss's
-    ranks are as low), chamfer_ratio (loss / C0), welch (C0 - loss). A control without runs is passed over;
-    without any control a shape is incomplete. Raises InputError when an arm has a seed twice."""
+    is not finite, or too few seeds to lie below another, or would pass with a Chamfer that is not finite),
+    reason (one sentence), ratio (C0 / loss), ratio_low and ratio_high (its 95 % bootstrap interval over the
+    seeds), chance (that of two equal arms the loss's ranks are as low), chamfer_ratio (loss / C0), welch
+    (C0 - loss). A control without runs is passed over; without any control a shape is incomplete. Without a
+    column chamfer, as in the paper's Table S7, tails alone decide, and the reason says "Chamfer unknown".
+    Raises InputError when an arm has a seed twice, or a column is missing."""
+    runs = _with_columns(runs)
     if runs.duplicated(["shape", "condition", "seed"]).any():
         twice = runs[runs.duplicated(["shape", "condition", "seed"])].iloc[0]
         raise InputError(
@@ -75,10 +88,10 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
     rows: dict[Any, dict[str, Any]] = {}
     for shape, own in runs.groupby("shape", observed=True):
         groups = dict(iter(own.groupby("condition", observed=True)))
-        tails = {name: group["tail"].to_numpy() for name, group in groups.items()}
-        known = groups if "chamfer" in own else {}
-        chamfer = {name: group["chamfer"].to_numpy().mean() for name, group in known.items()}
-        parity = chamfer.get(loss, math.nan) / chamfer.get(BASELINE, math.nan)
+        tails = {name: group["tail"].to_numpy(float) for name, group in groups.items()}
+        measured = groups if "chamfer" in own else {}
+        chamfer = {name: group["chamfer"].to_numpy(float).mean() for name, group in measured.items()}
+        parity = chamfer[loss] / chamfer[BASELINE] if {loss, BASELINE} <= {*chamfer} else None
         present = [name for name in controls if name in tails]
         absent = [name for name in (BASELINE, loss) if name not in tails] + ([] if present else [controls[0]])
         if absent:
@@ -89,7 +102,8 @@ def verdicts(runs: pd.DataFrame, loss: str = LOSS, controls: Sequence[str] = CON
         low, high = ratio_interval(baseline, own, str(shape))
         rows[shape] = {"outcome": outcome, "reason": reason, "ratio": _ratio(baseline, own)}
         rows[shape] |= {"ratio_low": low, "ratio_high": high, "chance": chance_below(own, baseline)}
-        rows[shape] |= {"chamfer_ratio": parity, "welch": welch(baseline, own)}
+        known = math.nan if parity is None else parity
+        rows[shape] |= {"chamfer_ratio": known, "welch": welch(baseline, own)}
     columns = ["outcome", "reason", "ratio", "ratio_low", "ratio_high", "chance", "chamfer_ratio", "welch"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("shape")
 
@@ -131,7 +145,7 @@ def _ratio(baseline: np.ndarray, own: np.ndarray) -> float:
 
 
 def _outcome(
-    loss: str, tails: dict[str, np.ndarray], controls: Sequence[str], parity: float
+    loss: str, tails: dict[str, np.ndarray], controls: Sequence[str], parity: float | None
 ) -> tuple[str, str]:
     own, baseline = tails[loss], tails[BASELINE]
     texts = {name: f"{name} {_range(values)}" for name, values in tails.items()}
@@ -148,14 +162,16 @@ def _outcome(
         return "no effect", f"{texts[loss]} overlaps {texts[BASELINE]}"
     if _ratio(baseline, own) < LEAST_EFFECT:
         return "negligible", f"{texts[loss]} lies less than {LEAST_EFFECT} times below {texts[BASELINE]}"
-    if parity > PARITY:
+    if parity is not None and parity > PARITY:
         return "parity failed", f"Chamfer of {loss} is {parity:.2f} times {BASELINE}'s, more than {PARITY}"
     for name in controls:
         if below(tails[name], own):
             return "beaten by control", f"{texts[name]} is below {texts[loss]}"
         if not below(own, tails[name]) or _ratio(tails[name], own) < LEAST_EFFECT:
             return "tied by control", f"{texts[loss]} overlaps {texts[name]}"
-    known = "Chamfer unknown" if math.isnan(parity) else f"Chamfer {parity:.2f} times {BASELINE}'s"
+    if parity is not None and math.isnan(parity):
+        return "incomplete", f"{BASELINE} or {loss} has a Chamfer that is not finite, so parity is not known"
+    known = "Chamfer unknown" if parity is None else f"Chamfer {parity:.2f} times {BASELINE}'s"
     return "pass", f"{texts[loss]} is below {texts[BASELINE]} and {', '.join(controls)}, {known}"
 
 

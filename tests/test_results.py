@@ -11,11 +11,13 @@ import pandas as pd
 import pytest
 
 from paper_artifact import results
+from paper_artifact.book.main_result import main_frame, main_runs
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
-from paper_artifact.evaluate.scores import TAIL_DUMPS
+from paper_artifact.evaluate.scores import TAIL_DUMPS, tails
 from paper_artifact.record.store import make_record, read_record, write_record
 from paper_artifact.study.studies import STUDIES
+from paper_artifact.verdict import verdicts
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +162,38 @@ def test_a_missing_measurement_names_its_script():
 def test_an_unknown_study_is_named(studies):
     with pytest.raises(InputError, match="no study is called"):
         results.load("recorded", studies)
+
+
+def test_a_folder_without_records_has_the_columns(tables, tmp_path):
+    none = results.load(folder=tmp_path / "missing")
+    for name in ("dumps", "refreshes", "studies"):
+        assert {*getattr(none, name)} == {*getattr(tables, name)}, name
+    assert {each for each in tables.runs if not each.startswith("seconds_")} == {*none.runs}
+    assert none.of("table1").empty and verdicts(none.of("table1")).empty and main_frame(main_runs(none)).empty
+
+
+def test_records_without_truth_dumps_or_held_out_views_are_read_beside_the_study_s(tmp_path):
+    write_baseline(tmp_path, "sphere", 0)
+    common = {"losses": {"step": [1], "loss": [0.5]}, "cpu_seconds": 1.0, "resumed_at": None}
+    common |= {"images": {"holdout_views": 0}, "soup": {"triangles": 9, "resamplings": []}}
+    alone = {"step": 1, "counts": [1, 2, 0], "floor": 0.02, "bars": [[], [], []], "margins": [[], [], []]}
+    for seed, dumps in ((1, []), (2, [alone])):  # with no dumps, and of photographs
+        config = study_config("own", "C0", seed, steps=1, dump_steps=(1,) * len(dumps))
+        write_record(
+            make_record(config, dumps, tails(dumps, len(dumps)) if dumps else {}, {}, **common), tmp_path
+        )
+    found = results.load(folder=tmp_path)
+    own = found.runs[found.runs["shape"] == "own"].set_index("seed")
+    lost = ["dimension", "tail", "tail_h2", "chamfer", "expected", "psnr", "diagonal", "betti_h0"]
+    assert own[lost].isna().all(axis=None) and own["count_h1"].isna().tolist() == [True, False]
+    assert found.dumps.query("shape == 'own'")["count_h1"].tolist() == [2]
+    of = found.of("baseline")
+    assert of["run"].tolist() == [path.stem for path in tmp_path.glob("sphere*")]
+    assert of["dimension"].tolist() == [2] and of["dimension"].dtype == int
+
+
+def test_outside_of_a_checkout_the_paper_s_tables_are_said_to_be_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "PUBLISHED", tmp_path)
+    results._published.cache_clear()
+    with pytest.raises(InputError, match="holds no table of the paper; work in a checkout"):
+        results.published("1")

@@ -140,6 +140,12 @@ def test_chamfer_parity_is_115_percent_of_the_baselines_mean():
         assert judged["outcome"] == outcome and judged["chamfer_ratio"] == pytest.approx(chamfer / 0.01)
     unknown = verdicts(rows("x", **GOOD)).loc["x"]
     assert math.isnan(unknown["chamfer_ratio"]) and "unknown" in unknown["reason"]
+    for lost in ("C0", "C1"):  # measured, and not finite: no parity, so no pass
+        chamfer = {"C0": 0.01, "C1": 0.01, "C2": 0.02} | {lost: None}
+        judged = verdicts(rows("x", chamfer, **GOOD)).loc["x"]
+        assert judged["outcome"] == "incomplete" and "Chamfer that is not finite" in judged["reason"]
+        worse = GOOD | {"C1": (0.08, 0.09, 0.085)}
+        assert verdicts(rows("x", chamfer, **worse)).loc["x", "outcome"] == "worse", "whatever the Chamfer"
 
 
 def test_another_loss_is_judged_and_a_seed_twice_is_refused():
@@ -147,6 +153,10 @@ def test_another_loss_is_judged_and_a_seed_twice_is_refused():
     with pytest.raises(InputError, match="x C0 has seed 0 twice"):
         verdicts(pd.concat([rows("x", **GOOD)] * 2))
     assert verdicts(rows("x", **GOOD).iloc[:0]).empty
+    assert verdicts(pd.DataFrame()).empty and arms(pd.DataFrame()).empty
+    for table in (arms, verdicts):
+        with pytest.raises(InputError, match="no column tail; give rows"):
+            table(rows("x", **GOOD).drop(columns="tail"))
 
 
 def test_sides_of_two_arms():
