@@ -21,9 +21,8 @@ import tempfile
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 from paper_artifact.errors import InputError
 
@@ -33,7 +32,6 @@ LIMIT = "raise the file size limit (ulimit -f), or use another file system, and 
 DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT, errno.ENOTBLK: "name a file"}
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
-IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 PARTIAL = ".paper_artifact-partial-"  # what temporary folders are called, and nothing of others
 LOCK = "lock"  # the file in one that its owner has locked
 MANIFEST = ".paper_artifact.json"  # in a folder: {command or part of it: names of the files that it wrote}
@@ -168,27 +166,46 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
     """Yield an empty temporary folder; on a clean exit its files move into `folder`, and what an earlier call
     for the same part moved there and this one did not is removed. All other files in `folder` stay.
 
-    The folder's MANIFEST lists what was moved, by part. Raises InputError when one of the files `names`
-    exists and is not listed; for None, when any file exists that is not listed, unless the folder was written
-    for this part before. Also as `atomic_path` does.
+    The folder's MANIFEST lists what was moved, by part; one process at a time changes it. Raises InputError,
+    before and after the block, when one of the files `names` exists and is not listed; for None, when any
+    file exists that is not listed, unless the folder was written for this part before. Also as `atomic_path`
+    does.
     """
     folder = Path(folder)
     with ExitStack() as stack:
         with _writing(folder):
-            before = _listed(folder).get(part)
-            if names is not None:
-                unlisted = (folder / name for name in names if name not in (before or ()))
-                foreign = next((path for path in unlisted if path.exists()), None)
-            else:
-                foreign = _unlisted(folder) if before is None else None
-            if foreign is not None:
-                raise InputError(
-                    f"{foreign} is there and was not written by this command; choose a new or an empty folder"
-                )
+            _check_own(folder, part, names)
             (new := stack.enter_context(partial_folder(folder)) / "new").mkdir()
         yield new
-        with _writing(folder):
+        with _writing(folder), _alone_in(folder):
+            _check_own(folder, part, names)
             _move_in(new, folder, part)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Let nobody else on this machine be in this block for the same folder; without locks, anybody."""
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
+    """Raise InputError where `renewed_folder` does."""
+    before = _listed(folder).get(part)
+    if names is not None:
+        unlisted = (folder / name for name in names if name not in (before or ()))
+        foreign = next((path for path in unlisted if path.exists()), None)
+    else:
+        foreign = _unlisted(folder) if before is None else None
+    if foreign is not None:
+        raise InputError(
+            f"{foreign} is there and was not written by this command; choose a new or an empty folder"
+        )
 
 
 def _move_in(new: Path, folder: Path, part: str) -> None:
@@ -311,55 +328,6 @@ def inside(folder: Path, name: str) -> Path:
             "without '..' and without a symbolic link"
         )
     return path
-
-
-def find_file(folder: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path | None:
-    """Return the file that another file in `folder` names, None where there is none.
-
-    The name is taken as written, then with % escapes resolved and a backslash as /, each with every ending of
-    `endings` added. Where that is no file, a name that differs only in case or in its image ending is taken,
-    if there is just one. An absolute name, or one with '..', is looked for by its last parts. Raises
-    InputError as `inside` does.
-    """
-    plain = unquote(name).replace("\\", "/")
-    spellings = [name, plain]
-    if not name.isascii():  # a name in another encoding than the disk's
-        for encoding in ("cp1252", "gbk", "shift_jis"):
-            with suppress(UnicodeError):
-                spellings.append(os.fsencode(name).decode(encoding))
-    for each in spellings:
-        for ending in endings:
-            if not _leads_out(each) and (path := inside(folder, each + ending)).is_file():
-                return path
-    parts = [part for part in PurePosixPath(plain).parts if part not in ("/", ".", "..") and part[1:] != ":"]
-    tails = range(len(parts)) if _leads_out(plain) else range(1)
-    for start in tails:
-        found = _nearly(folder, parts[start:], endings)
-        if len(found) == 1:
-            return inside(folder, str(found[0].relative_to(folder)))
-    return None
-
-
-def _leads_out(name: str) -> bool:
-    return name.startswith(("/", "\\")) or name[1:2] == ":" or ".." in name.replace("\\", "/").split("/")
-
-
-def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Path]:
-    """Return the files below `folder` that `parts` name but for case and image ending."""
-    places = [folder]
-    for number, part in enumerate(parts):
-        last, wanted = number == len(parts) - 1, part.casefold()
-        names = {wanted, *(wanted + ending.casefold() for ending in endings)} if last else {wanted}
-        if last and wanted.endswith(IMAGE_ENDINGS):
-            names |= {wanted.rpartition(".")[0] + ending for ending in IMAGE_ENDINGS}
-        try:
-            entries = [entry for place in places for entry in sorted(place.iterdir())]
-        except OSError:
-            return []
-        named = [entry for entry in entries if entry.name.casefold() in names]
-        exact = [entry for entry in named if entry.name == part]
-        places = [entry for entry in exact or named if (entry.is_file() if last else entry.is_dir())]
-    return places
 
 
 def decoded(data: bytes) -> str:

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import Pipe, get_context
 from pathlib import Path
@@ -93,6 +93,29 @@ def test_a_folder_of_others_is_refused_and_stays(tmp_path):
         renew(tmp_path / "home", "audit.html", part="other", known=True)
     renew(tmp_path / "home", "audit.html", part="audit", known=True)
     assert files_in(tmp_path / "home") == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
+
+
+def test_writers_into_one_folder_at_once_are_all_listed(tmp_path):
+    def export(writer: int) -> None:
+        for number in range(10):
+            renew(tmp_path, f"{writer}_{number}.ply", part=f"export {writer} {number}", known=True)
+
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(export, range(3)))
+    listed = {name for names in json.loads((tmp_path / MANIFEST).read_text()).values() for name in names}
+    assert listed == files_in(tmp_path) and len(listed) == 30
+
+
+def test_a_file_that_comes_while_a_command_works_is_not_replaced(tmp_path):
+    for names in (["mine"], None):
+        with (
+            pytest.raises(InputError, match="mine is there and was not written by this command"),
+            renewed_folder(tmp_path, "book", names) as new,
+        ):
+            write_text(new / "mine", "of book")
+            write_text(tmp_path / "mine", "precious")
+        assert (tmp_path / "mine").read_text() == "precious"
+        (tmp_path / "mine").unlink()
 
 
 @pytest.mark.parametrize("listed", ["[", '{"book": ["../mine"]}', '{"book": 3}', '{"book": [3]}', "[]"])

@@ -19,7 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import decoded, find_file
+from paper_artifact.files import decoded
+from paper_artifact.formats.named import find_file
 from paper_artifact.formats.polygons import Triangles, strip_triangles
 
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

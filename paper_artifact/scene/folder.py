@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import clear_partials, find_file, inside, load_json, partial_folder, write_failure
+from paper_artifact.files import clear_partials, inside, load_json, partial_folder, write_failure
+from paper_artifact.formats.named import find_file
 from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
 

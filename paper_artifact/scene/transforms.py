@@ -23,7 +23,8 @@ from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
-from paper_artifact.files import find_file, load_json, write_json
+from paper_artifact.files import load_json, write_json
+from paper_artifact.formats.named import find_file
 from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
