@@ -325,6 +325,7 @@ def _former(version: int, prefix: str) -> dict[str, Any]:
 
 def _converted(name: str, kind: Any, value: Any) -> Any:
     """Return `value` as a field of that type takes it; InputError when it is another kind of thing."""
+    value = _plain(value)
     parts = [each for each in get_args(kind) if each is not NoneType]
     wanted = parts[0] if NoneType in get_args(kind) else kind
     if value is None and NoneType in get_args(kind):
@@ -346,6 +347,13 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
         return value
     word = kind.__name__ if isinstance(kind, type) else str(kind)
     raise InputError(f"{name} takes a value of kind {word}, got {_brief(value)}")
+
+
+def _plain(value: Any) -> Any:
+    """Return numbers and arrays of numpy and torch as Python's numbers and lists, all else as it is."""
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value] if isinstance(value, list) else tuple(map(_plain, value))
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _brief(value: Any) -> str:

@@ -1,11 +1,13 @@
-"""`InputError`, the refusal of what takes more memory than is available, and words quoted for a shell."""
+"""`InputError`, numbers as arguments, memory that is not available, and words quoted for a shell."""
 
 from __future__ import annotations
 
 import math
+import operator
 import os
 import shlex
 from pathlib import Path
+from typing import Any
 
 # Control characters but tab and line feed, as terminals show them and as bash reads them in $'…'.
 CONTROL = {code: f"\\u{code:04x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
@@ -16,6 +18,53 @@ class InputError(ValueError):
 
     The command line prints it without a trace and exits with code 1.
     """
+
+
+def whole(name: str, value: Any, low: int = 0, high: float = math.inf) -> int:
+    """Return a whole number of any kind (Python's, numpy's, torch's) as an int.
+
+    Raises InputError, naming it, for all else and for one that is not from `low` to `high`.
+    """
+    try:
+        number = operator.index(value)
+    except (TypeError, ValueError, RuntimeError):
+        number = low - 1
+    if not low <= number <= high:
+        limits = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
+        raise InputError(f"{name} is {value!r:.60}; give a whole number {limits}")
+    return number
+
+
+def real(value: Any) -> float:
+    """Return a number of any kind as a float, NaN for what is none: a range that the caller asks for."""
+    try:
+        return float(value) if hasattr(value, "__float__") else math.nan  # a text has no __float__
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return math.nan
+
+
+def as_numbers(values: Any, what: str, advice: str) -> Any:
+    """Return `values` as a numpy array of integers or floats, a tensor's without its gradient.
+
+    Raises InputError, a sentence on `what` that ends with `advice`, for other kinds of values and masks.
+    """
+    import numpy as np
+
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"the mask of {what} would be lost; {advice}, e.g. by np.ma.compress_rows")
+    try:
+        if hasattr(values, "detach"):
+            values = values.detach().cpu()
+            values = values.double().numpy() if values.is_floating_point() else values.numpy()
+        values = np.asarray(values)
+        mixed = values.dtype.kind == "O"
+        if mixed and not any(isinstance(each, (str, bytes, complex)) for each in values.flat):
+            values = values.astype(np.float64)
+    except (TypeError, ValueError, AttributeError, RuntimeError, OverflowError) as error:
+        raise InputError(f"{what} are not numbers ({error}); {advice}") from error
+    if values.size and values.dtype.kind not in "iuf":
+        raise InputError(f"{what} are not numbers but {values.dtype}; {advice}")
+    return values
 
 
 def _available_memory() -> float:

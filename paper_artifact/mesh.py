@@ -18,10 +18,11 @@ from paper_artifact.files import check_archive
 from paper_artifact.formats.gltf import read_gltf
 from paper_artifact.formats.polygons import read_obj, read_off, read_ply, read_stl
 from paper_artifact.frame import SAME, Frame
-from paper_artifact.sampling import check_indices, face_areas
+from paper_artifact.sampling import check_arrays, check_indices, face_areas
 
 # Below this fraction of diagonal² the total area is round-off, not a surface.
 AREA_FLOOR = 1e-12
+FAR = 1e75  # extent beyond which, and below whose inverse, products of four lengths leave float64
 READERS: dict[str, Any] = {
     "obj": read_obj,
     "ply": read_ply,
@@ -87,14 +88,12 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
-def check_arrays(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
-    """Raise InputError, naming `name`, for faces (F,3) of other vertices than these (V,3), NaN, infinity."""
-    check_indices(vertices, faces, name)
-    if not np.isfinite(vertices).all():
-        count = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise InputError(
-            f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again"
-        )
+def check_scale(vertices: np.ndarray, name: str) -> None:
+    """Raise InputError, naming `name`, where areas of vertices (V,3), V > 0, leave double precision."""
+    with np.errstate(over="ignore"):
+        extent = float(np.ptp(vertices, axis=0).max())
+    if extent and not 1 / FAR < extent < FAR:
+        raise InputError(f"{name} extends over {extent:.1g}: too much or too little for areas; scale it")
 
 
 def checked_mesh(
@@ -109,19 +108,12 @@ def checked_mesh(
     Raises InputError, naming `name`, for no faces, indices out of range, NaN or infinite coordinates, or a
     surface of no area.
     """
-    vertices = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
-    if len(faces) == 0:
-        raise InputError(f"{name} has no triangles; give a surface mesh, not points or curves")
-    check_arrays(vertices, faces, name)
-    kept_vertices, kept_faces = weld(vertices, faces) if welded else (vertices, faces)
-    extent = np.ptp(kept_vertices, axis=0) if len(kept_faces) else np.zeros(3)
-    with np.errstate(over="ignore", invalid="ignore"):
-        diagonal = float(norm(extent))
-        area = float(face_areas(kept_vertices, kept_faces).sum()) if len(kept_faces) else 0.0
-    if not (np.isfinite(diagonal) and np.isfinite(area)):
-        raise InputError(f"{name} has coordinates too large for double precision areas; scale it down")
-    if area <= AREA_FLOOR * diagonal**2:
+    vertices, faces = check_arrays(vertices, faces, name)
+    kept_vertices, kept_faces = weld(vertices, faces) if welded else (vertices.copy(), faces.copy())
+    if len(kept_faces):
+        check_scale(kept_vertices, name)
+    diagonal = float(norm(np.ptp(kept_vertices, axis=0))) if len(kept_faces) else 0.0
+    if float(face_areas(kept_vertices, kept_faces).sum()) <= AREA_FLOOR * diagonal**2:
         raise InputError(f"{name} has only triangles of zero area; give a mesh with a surface")
     return Mesh(kept_vertices, kept_faces, name, betti)
 

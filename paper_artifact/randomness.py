@@ -10,14 +10,15 @@ import zlib
 
 import numpy as np
 
+from paper_artifact.errors import whole
+
 
 def stream(seed: int, purpose: str, counter: int = 0) -> np.random.Generator:
     """Return the Generator of (seed, purpose, counter); equal arguments give equal draws on every machine.
 
     seed and counter are non-negative integers below 2**63; `purpose` names the use ("batch", "samples", ...),
-    so two uses of one seed never share draws.
+    so two uses of one seed never share draws. Raises InputError for other seeds and counters.
     """
-    if seed < 0 or counter < 0:
-        raise ValueError(f"seed and counter must be non-negative, got {seed} and {counter}")
-    key = (int(seed) << 32 | zlib.crc32(purpose.encode())) & (2**96 - 1)
-    return np.random.Generator(np.random.Philox(key=key & (2**128 - 1), counter=int(counter) << 128))
+    seed, counter = whole("seed", seed, 0, 2**63 - 1), whole("counter", counter, 0, 2**63 - 1)
+    key = seed << 32 | zlib.crc32(purpose.encode())
+    return np.random.Generator(np.random.Philox(key=key, counter=counter << 128))

@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from paper_artifact.arithmetic import dot, norm
-from paper_artifact.errors import InputError, require_memory
+from paper_artifact.errors import InputError, as_numbers, require_memory, whole
 
 MANY, BYTES = 10**7, 150  # samples for which memory is asked about first, and what one takes
 
 
-def check_indices(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
-    """Raise InputError, naming `name`, where a face (F,3) refers to none of the vertices (V,3)."""
+def check_indices(vertices: Any, faces: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V,3) as float64 and faces (F,3) as int64.
+
+    Raises InputError, naming `name`, for other shapes, what are no numbers, or a face that refers to a
+    fraction or to none of the vertices.
+    """
+    advice = "give vertices (V, 3) and faces (F, 3) of whole numbers"
+    vertices = np.asarray(as_numbers(vertices, f"the vertices of {name}", advice), dtype=np.float64)
+    given = as_numbers(faces, f"the faces of {name}", advice)
+    vertices, given = (each if each.size else each.reshape(-1, 3) for each in (vertices, given))
+    if not all(each.ndim == 2 and each.shape[1] == 3 for each in (vertices, given)):
+        raise InputError(f"{name} has vertices {vertices.shape} and faces {given.shape}; {advice}")
+    with np.errstate(invalid="ignore"):
+        faces = given.astype(np.int64, copy=False)
+    if faces is not given and (faces != given).any():
+        raise InputError(f"{name} has a face that refers to a fraction of a vertex; {advice}")
     wrong = faces[(faces < 0) | (faces >= len(vertices))]
     if wrong.size:
         raise InputError(
             f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}, counted from 0; the "
             "file is damaged or cut off, export it again"
         )
+    return vertices, faces
+
+
+def check_arrays(vertices: Any, faces: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V,3) float64 and faces (F,3) int64.
+
+    Raises InputError, naming `name`, as `check_indices` does, for no faces, NaN and infinity.
+    """
+    vertices, faces = check_indices(vertices, faces, name)
+    if len(faces) == 0:
+        raise InputError(f"{name} has no triangles; give a surface mesh, not points or curves")
+    if not np.isfinite(vertices).all():
+        count = int((~np.isfinite(vertices).all(axis=1)).sum())
+        raise InputError(
+            f"{name} has {count} vertices with NaN or infinite coordinates; repair or export it again"
+        )
+    return vertices, faces
 
 
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -46,13 +79,10 @@ def sample_surface(
     Raises InputError for a negative count, one that memory does not hold, faces of other vertices, or when no
     area × weight is left to draw from.
     """
-    if count < 0:
-        raise InputError(f"the number of samples must not be negative, got {count}")
+    count = whole("the number of samples", count)
     if count > MANY:
         require_memory(BYTES * count, f"{count} samples", "give fewer samples")
-    vertices = np.asarray(vertices, dtype=np.float64)
-    faces = np.asarray(faces)
-    check_indices(vertices, faces, "the surface")
+    vertices, faces = check_indices(vertices, faces, "the surface")
     mass = face_areas(vertices, faces)
     if weights is not None:
         mass = mass * np.asarray(weights, dtype=np.float64)

@@ -109,6 +109,9 @@ def test_distances_by_hand_and_bars_that_never_die():
         [[0, np.nan]],
         [[1, 0]],
         [["a", "b"]],
+        np.ma.masked_array([[0.0, 1.0]], mask=[[False, True]]),
+        [[-1.7e308, 1.7e308]],
+        [[0, 10**400]],
         [[np.inf, np.inf]],
         [[[0, 1]]],
         np.ones((1, 2)) * 1j,
@@ -136,8 +139,62 @@ def test_distances_and_images_have_gradients():
     image = persistence_image(bars, 60, 0.05, ((-0.5, 3.0), (-0.5, 3.0)))
     assert image.sum() * (3.5 / 60) ** 2 == pytest.approx((bars[:, 1] - bars[:, 0]).sum(), rel=1e-3)
     assert persistence_image([]).sum() == 0 and persistence_image([[0, np.inf]]).sum() == 0
-    with pytest.raises(InputError, match="positive"):
-        persistence_image(bars, bandwidth=0.0)
+    for power in (-300, -150, 150, 300):  # an image is in units of one over its bars'
+        scale, unit = 10.0**power, ((0.0, 2.0), (0.0, 2.0))
+        far = persistence_image(scale * bars, 5, 0.3 * scale, (scale * np.array(unit)).tolist())
+        np.testing.assert_allclose(scale * far, persistence_image(bars, 5, 0.3, unit), rtol=1e-9)
+        far = persistence_landscape(scale * bars, 3, 9, (0.0, 2.0 * scale))
+        np.testing.assert_allclose(far, scale * persistence_landscape(bars, 3, 9, (0.0, 2.0)), rtol=1e-9)
+        for order, internal in ((1, 2), (2, 2), (10, 10), (1, np.inf)):
+            far = wasserstein(scale * bars, scale * other[0].diagram, order, internal)
+            assert far == pytest.approx(scale * wasserstein(bars, other[0].diagram, order, internal))
+
+
+CENTRED = {"resolution": 1, "span": ((-0.5, 0.5), (0.5, 1.5))}  # the pixel's centre is a bar
+
+
+@pytest.mark.parametrize(
+    ("call", "options", "words"),
+    [
+        (wasserstein, {"order": "2"}, "order and internal are"),
+        (wasserstein, {"order": np.nan}, "order and internal are"),
+        (wasserstein, {"order": 11}, "give 1 to 10"),
+        (wasserstein, {"internal": 0.5}, "give 1 to 10, internal also inf"),
+        (wasserstein, {"internal": 1000}, "give 1 to 10, internal also inf"),
+        (persistence_image, {"resolution": 0}, "resolution is 0; give a whole number of at least 1"),
+        (persistence_image, {"resolution": -1}, "resolution is -1"),
+        (persistence_image, {"resolution": 2.5}, "resolution is 2.5"),
+        (persistence_image, {"bandwidth": 0.0}, "bandwidth is 0.0; give a positive number"),
+        (persistence_image, {"bandwidth": "1"}, "bandwidth is '1'; give a positive number"),
+        (persistence_image, {"bandwidth": np.inf}, "bandwidth is inf"),
+        (persistence_image, CENTRED | {"bandwidth": 1e-300}, "range of .*float64; give a larger bandwidth"),
+        (persistence_image, {"span": ((0, np.inf), (0, 1))}, "the span .* is empty or none"),
+        (persistence_image, {"span": ((0, np.nan), (0, 1))}, "the span .* is empty or none"),
+        (persistence_image, {"span": (0, 1)}, "the span .* is empty or none"),
+        (persistence_image, {"span": ((0, 1),)}, "the span .* is empty or none"),
+        (persistence_image, {"span": ((1, 0), (0, 1))}, "the span .* is empty or none"),
+        (persistence_landscape, {"span": (0, np.inf)}, "the span .* is empty or none"),
+        (persistence_landscape, {"span": (-1.7e308, 1.7e308)}, "the span .* is empty or none"),
+        (persistence_landscape, {"span": 3}, "the span .* is empty or none"),
+        (persistence_landscape, {"layers": 0}, "layers is 0; give a whole number of at least 1"),
+        (persistence_landscape, {"layers": 2.5}, "layers is 2.5"),
+        (persistence_landscape, {"resolution": 1}, "resolution is 1; give a whole number of at least 2"),
+    ],
+)
+def test_options_that_make_no_sense(call, options, words):
+    bars = np.array([[0.0, 1.0], [0.5, 3.0]])
+    for one in (bars, torch.tensor(bars)):
+        with pytest.raises(InputError, match=words):
+            call(one, **({"b": bars} if call is wasserstein else {}), **options)
+
+
+def test_diagrams_of_every_kind_are_bars():
+    points = torch.tensor(cloud(14), requires_grad=True)
+    for call in (lambda bars: wasserstein(bars, [[0, 1]]), persistence_image, persistence_landscape):
+        whole = alpha_diagrams(points)[1]
+        assert torch.equal(call(whole), call(whole.bars)) and call(whole).requires_grad
+        of_integers = call(torch.tensor([[0, 3], [1, 2]]))
+        np.testing.assert_allclose(of_integers, call(np.array([[0.0, 3.0], [1.0, 2.0]])))
 
 
 @settings(max_examples=50, deadline=None)
@@ -147,7 +204,7 @@ def test_landscapes_are_gudhis(bars):
     ours = persistence_landscape(np.vstack([bars, [[0.0, np.inf]]]), 3, 20, (0.0, 19.0))
     np.testing.assert_allclose(ours.ravel(), gudhis(bars) / 2**0.5 if len(bars) else np.zeros(60), atol=1e-12)
     assert persistence_landscape(torch.tensor(bars), 3, 20).shape == (3, 20)
-    with pytest.raises(InputError, match="a span that is not empty"):
+    with pytest.raises(InputError, match="is empty or none"):
         persistence_landscape(bars, span=(1.0, 1.0))
 
 

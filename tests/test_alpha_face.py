@@ -78,6 +78,7 @@ def test_kinds_of_numbers_that_mean_the_same(points):
         [[0, 0, None], [1, 0, 0]],
         [[0, 0, 0], [1, 0]],
         {"x": 1},
+        [[10**400, 0, 0], [0, 0, 0]],
         None,
         3.0,
         CORNER.reshape(-1),
@@ -214,6 +215,10 @@ def test_one_component_never_dies(points):
     [
         ({"max_dimension": 3}, "max_dimension"),
         ({"max_dimension": -1}, "max_dimension"),
+        ({"max_dimension": 1.0}, "max_dimension is 1.0; give a whole number from 0 to 2"),
+        ({"max_dimension": "1"}, "max_dimension"),
+        ({"max_radius": "1"}, "max_radius is '1'; give a number of at least 0"),
+        ({"max_radius": None}, "max_radius"),
         ({"max_radius": -1.0}, "max_radius"),
         ({"max_radius": np.nan}, "max_radius"),
         ({"method": "exact"}, "unknown persistence method 'exact'"),
@@ -222,8 +227,18 @@ def test_one_component_never_dies(points):
 )
 def test_bad_options(options, words):
     for scale in (2.0**600, 2.0**-600):
-        with pytest.raises(InputError, match=words):
-            alpha_persistence(CORNER * scale, **options)
+        for call in (alpha_persistence, alpha_diagrams)[: 1 + ("method" not in options)]:
+            with pytest.raises(InputError, match=words):
+                call(CORNER * scale, **options)
+        with pytest.raises(InputError, match="range of float64"):
+            alpha_filtration(CORNER * scale).simplex_tree()
+    for points in (torch.tensor(CORNER * 1e30).float(), torch.tensor(CORNER * 1e-30).float()):
+        with pytest.raises(InputError, match="leave the range of torch.float32"):
+            alpha_diagrams(points, squared=True)
+    assert same(
+        alpha_persistence(CORNER, squared=True, max_radius=1e200), alpha_persistence(CORNER, squared=True)
+    )
+    assert len(alpha_persistence(CORNER, max_dimension=np.int64(1), max_radius=np.float32(9))) == 2
 
 
 def planar(n: int) -> np.ndarray:
@@ -295,8 +310,11 @@ def test_a_loop_is_represented_by_a_shortest_cycle_at_its_birth():
     assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi)
     lengths = np.linalg.norm(points[cycle] - points[np.roll(cycle, 1)], axis=1) / 2
     assert lengths.max() <= loops.births[place] * (1 + 1e-9)
-    for edge in ([0, 0], [0], filtration.simplices[1][np.argmin(filtration.radii[1])]):
-        with pytest.raises(InputError, match="edge"):
+    for power in (-600, 600):
+        far = alpha_filtration(points * 2.0**power)
+        assert np.array_equal(far.shortest_loop(loops.birth_simplices[place]), cycle)
+    for edge in ([0, 0], [0], None, "ab", [0, 1.5], filtration.simplices[1][np.argmin(filtration.radii[1])]):
+        with pytest.raises(InputError, match=r"edge \(2,\)|edge of the complex|closes no loop"):
             filtration.shortest_loop(edge)
 
 
@@ -310,8 +328,13 @@ def test_the_transformer_is_scikit_learns():
     assert rows.shape == (2, 9)
     lives = [np.sort(each.deaths - each.births)[::-1][:3] for each in alpha_persistence(clouds[1])]
     np.testing.assert_array_equal(rows[1], np.concatenate(lives))
-    with pytest.raises(InputError, match="at least 1"):
-        AlphaTransformer(longest=0).fit(cloud(4))
+    for options in ({"longest": 0}, {"longest": -1}, {"longest": 2.5}, {"delay": 0}, {"delay": "1"}):
+        for X in (cloud(4), clouds):
+            with pytest.raises(InputError, match="is .*; give a whole number of at least 1"):
+                AlphaTransformer(**options).fit(X)
+    for X in ([cloud(30), cloud(30, 2)], np.zeros((0, 5, 3)), [cloud(30), cloud(30, 4)]):
+        with pytest.raises(InputError, match="X has no clouds, or some|shape"):
+            AlphaTransformer().fit(X)
 
 
 def test_threads_do_not_change_bits():

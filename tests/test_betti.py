@@ -154,21 +154,48 @@ def test_points_that_no_loss_can_be_had_of_are_refused():
     for points, words in (
         (flat, "all live points lie in one plane"),
         (flat[:1].repeat(9, axis=0), "all live points lie in one plane"),
-        (flat[:3], "at least 4 points of shape (M, 3), got (3, 3)"),
-        (np.full((9, 3), np.nan), "not finite"),
+        (flat[:3], "at least 4 points of shape (n, 3), got (3, 3)"),
+        (np.full((9, 3), np.nan), "coordinates that are finite"),
+        (1e308 * np.random.default_rng(0).random((50, 3)), "below 1e307; remove others, scale all"),
     ):
         with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
             BettiLoss((1, 1, 0))(torch.tensor(points))
     with pytest.raises(InputError, match=r"9999 finite bars of dimension 1 \(loops\).*have \d+ in all"):
         BettiLoss((1, 9999, 0))(torch.tensor(cloud_of("sphere", 60)))
-    with pytest.raises(InputError, match="positive length"):
-        BettiLoss((1, 1, 0), diagonal=-1.0)
+    for diagonal in (-1.0, 0, np.nan, np.inf, "1", None, 1e300, 1e-320):
+        if diagonal is not None:
+            with pytest.raises(InputError, match="positive length|give the diagonal in their unit"):
+                BettiLoss((1, 1, 0), diagonal=diagonal)(torch.tensor(cloud_of("sphere", 60)))
+    for seed in (-1, 0.5, "a"):
+        with pytest.raises(InputError, match="seed is .*; give a whole number of at least 0"):
+            BettiLoss((1, 1, 0), seed=seed)
+    for setting in ("kind", "samples", "rho", "ramp", "recruitment", "floor_source", "bundle_seed", "colour"):
+        with pytest.raises(
+            InputError, match=f"BettiLoss does not follow the setting {setting}; choose among"
+        ):
+            BettiLoss((1, 1, 0), **{setting: 1})
     with pytest.raises(InputError, match="preset must be one of points, soup, got 'bare'"):
         BettiLoss((1, 1, 0), "bare")
     with pytest.raises(InputError, match="needs a torch tensor, got ndarray"):
         BettiLoss((1, 1, 0))(flat)
     with pytest.raises(InputError, match=r"shape \(M, 3\), got torch.float64 \(50, 2\)"):
         BettiLoss((1, 1, 0))(torch.tensor(flat[:, :2]))
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-150, 1.0, 1e150, 1e300])
+def test_the_loss_is_the_same_at_any_scale(scale):
+    points = torch.tensor(scale * (cloud_of("torus", 200) + 5.0), requires_grad=True)
+    assert cleaned(points).shape == cleaned(points / scale).shape
+    loss = BettiLoss(np.array([1, np.int64(2), 0]), dimensions=torch.tensor([1]), refresh_every=np.int64(5))
+    (gradient,) = torch.autograd.grad(loss(points), points)
+    one = (points.detach() / scale).requires_grad_()
+    right = BettiLoss((1, 2, 0), dimensions=(1,))
+    (expected,) = torch.autograd.grad(right(one), one)
+    assert loss(points).item() == pytest.approx(right(one).item(), rel=1e-6)
+    assert torch.allclose(gradient * scale, expected, rtol=1e-6, atol=1e-12) and bool(expected.any())
+    if scale < 1e-39:
+        with pytest.raises(InputError, match="one place|in one plane|scale them up"):
+            loss(torch.tensor(1e-44 + 1e-40 * cloud_of("torus", 200), dtype=torch.float32))
 
 
 def test_a_wanted_class_that_the_guard_hides_is_warned_of_once():
@@ -351,5 +378,5 @@ def test_a_dirty_sphere_is_cleaned():
     before, after = (np.abs(np.linalg.norm(each, axis=1) - 1) for each in (noisy, found))
     assert 2950 <= len(found) <= 3020 and after.mean() < 0.7 * before.mean() and after.max() < 0.3
     assert len(trimmed(points)) == 3000 and np.allclose(projected(points), points, atol=0.02)
-    with pytest.raises(InputError, match="cleaning needs at least 4 finite points"):
+    with pytest.raises(InputError, match="cleaning needs coordinates that are finite"):
         cleaned(np.full((9, 3), np.nan))

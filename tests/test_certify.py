@@ -214,13 +214,30 @@ def test_a_file_is_certified_as_it_was_written(tmp_path):
     assert certificate.passed and certificate.genus == 2 and certificate.vertices_as_indexed == 3 * len(faces)
 
 
-@pytest.mark.parametrize("wrong", (np.nan, np.inf, "negative", "beyond"))
-def test_what_is_no_mesh_gets_no_certificate(wrong):
-    box = trimesh.creation.box()
-    vertices, faces = np.array(box.vertices), np.array(box.faces)
-    if isinstance(wrong, float):
-        vertices[0, 0] = wrong
-    else:
-        faces += len(vertices) * (1 if wrong == "beyond" else -1)
-    with pytest.raises(InputError, match="coordinates|refers to vertex"):
-        certify_mesh(Mesh(vertices, faces, "box"))
+BOX = trimesh.creation.box()
+NO_MESH = {
+    "nan": (
+        Mesh(np.where(BOX.vertices > 0, np.nan, BOX.vertices), BOX.faces, "box"),
+        "NaN or infinite coord",
+    ),
+    "inf": (
+        Mesh(np.where(BOX.vertices > 0, np.inf, BOX.vertices), BOX.faces, "box"),
+        "NaN or infinite coord",
+    ),
+    "negative": (Mesh(BOX.vertices, BOX.faces - 8, "box"), "box has a face that refers to vertex -"),
+    "beyond": (Mesh(BOX.vertices, BOX.faces + 8, "box"), "box has a face that refers to vertex"),
+    "fractions": (Mesh(BOX.vertices, BOX.faces + 0.5, "box"), "refers to a fraction of a vertex"),
+    "quads": (Mesh(BOX.vertices, np.array([[0, 1, 3, 2]]), "box"), r"faces \(1, 4\)"),
+    "plane": (Mesh(BOX.vertices[:, :2], BOX.faces, "box"), r"vertices \(8, 2\)"),
+    "huge": (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300: too much or too little"),
+    "tiny": (Mesh(1e-300 * BOX.vertices, BOX.faces, "box"), "extends over 1e-300: too much or too little"),
+    "trimesh's": (BOX, "a Trimesh is no Mesh"),
+    "none": (None, "a NoneType is no Mesh"),
+}
+
+
+@pytest.mark.parametrize("name", NO_MESH)
+def test_what_is_no_mesh_gets_no_certificate(name):
+    mesh, words = NO_MESH[name]
+    with pytest.raises(InputError, match=words):
+        certify_mesh(mesh)

@@ -78,5 +78,17 @@ def test_arrays_are_checked_like_files():
     square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
     with pytest.raises(InputError, match="soup has no triangles"):
         checked_mesh(square, np.zeros((0, 3), int), "soup")
-    with pytest.raises(InputError, match="vertex -1"):
-        checked_mesh(square, [[0, 1, -1]], "soup")
+    for vertices, faces, words in (
+        (square, [[0, 1, -1]], "vertex -1"),
+        (square, np.array([[0, 1, 2]]) + 0.9, "soup has a face that refers to a fraction of a vertex"),
+        (square, [[0, 1, np.nan]], "refers to a fraction"),
+        (square, [[0, 1, 2, 0]], r"vertices \(3, 3\) and faces \(1, 4\)"),
+        (square[:, :2], [[0, 1, 2]], r"vertices \(3, 2\)"),
+        ("abc", [[0, 1, 2]], "the vertices of soup are not numbers"),
+        (square, [["a", "b", "c"]], "the faces of soup are not numbers"),
+        (square * 1e200, [[0, 1, 2]], "soup extends over 1e.200: too much or too little for areas; scale it"),
+        (square * 1e-200, [[0, 1, 2]], "soup extends over 1e-200: too much or too little"),
+    ):
+        with pytest.raises(InputError, match=words):
+            checked_mesh(vertices, faces, "soup")
+    assert checked_mesh(square.tolist(), [[0.0, 1.0, 2.0]], "soup").faces.tolist() == [[0, 1, 2]]

@@ -58,6 +58,6 @@ def test_nothing_to_draw_from_is_an_error():
     ):
         with pytest.raises(InputError, match="area × weight"):
             sample_surface(mesh.vertices, faces, 10, stream(0, "test"), weights=weights)
-    with pytest.raises(InputError, match="negative"):
+    with pytest.raises(InputError, match="number of samples is -1; give a whole number of at least 0"):
         sample_surface(mesh.vertices, mesh.faces, -1, stream(0, "test"))
     assert len(sample_surface(mesh.vertices, mesh.faces, 0, stream(0, "test"))[0]) == 0

@@ -35,8 +35,49 @@ def test_bundle_refuses_empty_dimensions_and_names_them():
         build_bundle(sphere(0), 3.46, suppress=(2,))
     with pytest.raises(InputError, match="in any dimension"):
         build_bundle(np.random.default_rng(0).random((100, 3)), 3**0.5)
-    both = build_bundle(sphere(0), 3.46, suppress=(1,))
+    for dimensions in (3, (1.0,), "1", (-1,)):
+        for options in ({"dimensions": dimensions}, {"suppress": dimensions}):
+            with pytest.raises(InputError, match="does not exist in three-dimensional space"):
+                build_bundle(sphere(0), 3.46, **options)
+    with pytest.raises(InputError, match="no dimension to act in"):
+        build_bundle(sphere(0), 3.46, dimensions=())
+    both = build_bundle(sphere(0), 3.46, dimensions=np.int64(2), suppress=np.array([1]))
+    assert json.loads(json.dumps(both.to_json()))["dimensions"] == [1, 2]
     assert both.dimensions == (1, 2) and both.reasons[1].startswith("suppressed on purpose")
+
+
+BAD: dict[str, tuple[dict, str]] = {
+    "text": ({"points": "abc"}, "points are not numbers"),
+    "plane": ({"points": sphere(0)[:, :2]}, r"of shape \(n, 3\), got \(400, 2\)"),
+    "nothing": ({"points": np.zeros((0, 3))}, r"at least 2 points .* got \(0, 3\)"),
+    "not finite": ({"points": sphere(0) * np.inf}, "coordinates that are finite"),
+    "huge": ({"points": 1e308 * sphere(0)}, "below 1e307; remove others, scale all"),
+    "masked": ({"points": np.ma.masked_less(sphere(0), 0)}, "the mask of the points would be lost"),
+    "diagonal 0": ({"diagonal": 0.0}, "must be a positive length, got 0.0"),
+    "diagonal text": ({"diagonal": "3"}, "must be a positive length, got '3'"),
+    "diagonal of another unit": ({"diagonal": 1e-300}, "give the diagonal in their unit"),
+    "k nan": ({"k": np.nan}, "k is nan; give a positive number, 6 in the paper"),
+    "k negative": ({"k": -1}, "k is -1; give a positive number"),
+    "k 0": ({"k": 0}, "k is 0; give a positive number"),
+    "k infinite": ({"k": np.inf}, "k is inf; give a positive number"),
+    "seed": ({"seed": -1}, "seed is -1; give a whole number of at least 0"),
+    "half a seed": ({"seed": 0.5}, "seed is 0.5; give a whole number"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_no_bundle_is_built_of(name):
+    changes, words = BAD[name]
+    with pytest.raises(InputError, match=words):
+        build_bundle(**{"points": sphere(0), "diagonal": 3.46, **changes})
+
+
+@pytest.mark.parametrize("scale", [2.0**-1000, 1e-200, 1e-100, 1e100, 1e200, 2.0**1000])
+def test_a_bundle_is_the_same_at_any_scale(scale):
+    one, far = build_bundle(sphere(0), 3.46), build_bundle(scale * sphere(0), scale * 3.46)
+    assert far.floor == pytest.approx(one.floor) and far.dimensions == one.dimensions == (2,)
+    np.testing.assert_allclose(far.bars[2], one.bars[2])
+    assert median_spacing(scale * sphere(0)) == pytest.approx(scale * median_spacing(sphere(0)))
 
 
 def test_bundle_json_round_trip_and_damage(tmp_path):
@@ -65,6 +106,20 @@ def test_bundle_from_mesh_is_a_function_of_its_seed_and_knows_its_mesh():
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([[a, b, c] for a, b, c, d in quads] + [[a, c, d] for a, b, c, d in quads])
+    for changes, words in (
+        ({"vertices": np.zeros((0, 3)), "faces": np.zeros((0, 3), int)}, "cube has no triangles"),
+        ({"vertices": corners[:, :2]}, r"cube has vertices \(8, 2\) and faces \(12, 3\)"),
+        ({"vertices": corners * np.nan}, "NaN or infinite"),
+        ({"faces": faces + 0.4}, "refers to a fraction of a vertex"),
+        ({"samples": 2.5}, "number of samples is 2.5; give a whole number of at least 0"),
+        ({"samples": -5}, "number of samples is -5; give a whole number of at least 0"),
+        ({"seed": -1}, "seed is -1; give a whole number from 0"),
+        ({"seed": 2**63}, "seed is 9223372036854775808; give a whole number from 0"),
+    ):
+        with pytest.raises(InputError, match=words):
+            build_from_mesh(
+                **{"vertices": corners, "faces": faces, "samples": 600, "shape": "cube", **changes}
+            )
     first, again = (build_from_mesh(corners, faces, 600, 1, shape="cube") for _ in range(2))
     other = build_from_mesh(corners, faces, 600, 2, shape="cube")
     assert first.to_json() == again.to_json() and first.source == other.source and first.floor != other.floor

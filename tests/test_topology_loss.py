@@ -222,12 +222,18 @@ def test_flat_cases_and_wrong_density_are_refused(void):
         (live[:3], "at least 4 points"),
         (live[:200], "built at M = 400"),
         (plane, "in one plane"),
-        (np.where(np.arange(400)[:, None] == 7, np.nan, live), "not finite"),
+        (np.where(np.arange(400)[:, None] == 7, np.nan, live), "coordinates that are finite"),
     ):
         with pytest.raises(InputError, match=words):
             loss(torch.tensor(bad))
     with pytest.raises(InputError, match="floating-point"):
         loss(torch.zeros((400, 3), dtype=torch.int64))
+    for setting in ("kind", "samples", "dimensions", "rho", "betti", "guard", "pull", "colour"):
+        with pytest.raises(InputError, match=f"TopologyLoss does not follow the setting {setting}; choose"):
+            TopologyLoss(bundle, **{setting: 1})
+    for other in (None, {"a": 1}, bundle.to_json()):
+        with pytest.raises(InputError, match="is no Bundle; make one by `build_bundle`"):
+            TopologyLoss(other)
     with pytest.raises(InputError, match="unknown fallback"):
         TopologyLoss(bundle, fallback="ignore")
     with pytest.raises(InputError, match="unknown floor_source"):

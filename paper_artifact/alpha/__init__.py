@@ -3,11 +3,8 @@
 Of this project it imports `errors` and `kernel_cache` only. torch, scipy, scikit-learn, matplotlib and gudhi
 are loaded only by the names that need them: importing this package imports numpy and nothing else.
 
-    from paper_artifact.alpha import alpha_diagrams, alpha_persistence
-
-`alpha_persistence(points)` gives the pairs of a point cloud, `alpha_diagrams(points)` the same diagrams as
-tensors with gradients (paper §3.2). Three rooms, no way back: triangulation (`delaunay`, on exact
-`predicates`), filtration, reduction; `complex` joins them. gudhi is the oracle of the tests.
+Three rooms, no way back: triangulation (`delaunay`, on exact `predicates`), filtration, reduction; `complex`
+joins them. gudhi is the oracle of the tests.
 """
 
 from __future__ import annotations

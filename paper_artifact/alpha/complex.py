@@ -3,8 +3,6 @@
 A cloud in space is triangulated by tetrahedra. A cloud in one plane (every (n, 2) cloud) is triangulated as
 the base of a cone: with one more point off the plane, the tetrahedra are the plane's Delaunay triangles, each
 joined to that point, and the same exact predicates decide. A cloud on one line is sorted along it.
-
-The compiled code is kept beside the modules (`kernel_cache`), about 12 s of CPU the first time.
 """
 
 from __future__ import annotations

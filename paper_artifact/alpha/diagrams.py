@@ -49,7 +49,8 @@ def alpha_diagrams(
     tensor of any real dtype and device, or an array; computed in double precision on the CPU. The bars have
     the dtype and device of a floating-point tensor, and are float64 for all else. A value that fails the
     Gabriel gate, relative 1e-6, is detached. A batch (b,n,d) or a list of clouds gives a list of such tuples.
-    Raises InputError as `alpha_persistence` does: other shapes, complex numbers, NaN.
+    Raises InputError as `alpha_persistence` does (other shapes, complex numbers, NaN), and for bars beyond
+    the range of the points' dtype.
     """
     checked = check_points(points)
     if not isinstance(points, Tensor) or not points.is_floating_point():
@@ -59,13 +60,16 @@ def alpha_diagrams(
     if cloud.shape[1] == 2:
         cloud = torch.nn.functional.pad(cloud, (0, 1))
     made = []
-    limits: dict[str, Any] = {"max_dimension": max_dimension, "max_radius": max_radius}
-    for pairs in alpha_persistence(checked[order], as_given=True, infinite=infinite, **limits):
-        births, born = _radii(cloud, pairs.birth_simplices, pairs.births)
-        deaths, died = _radii(cloud, pairs.death_simplices, pairs.deaths)
+    options: Any = {"squared": squared, "max_dimension": max_dimension, "max_radius": max_radius}
+    for pairs in alpha_persistence(checked[order], as_given=True, infinite=infinite, **options):
+        ends = np.sqrt((pairs.births, pairs.deaths)) if squared else (pairs.births, pairs.deaths)
+        births, born = _radii(cloud, pairs.birth_simplices, ends[0])
+        deaths, died = _radii(cloud, pairs.death_simplices, ends[1])
         bars, gabriel = torch.stack([births, deaths], dim=1), torch.stack([born, died], dim=1)
-        bars = bars.square() if squared else bars
-        made.append(DiagramTensor(bars.to(points), gabriel.to(points.device)))
+        bars = (bars.square() if squared else bars).to(points.dtype)
+        if bars.isinf().sum() != np.isinf(pairs.deaths).sum() or not (bars[:, 1] > 0).all():
+            raise InputError(f"the bars leave the range of {bars.dtype}; scale the points or give float64")
+        made.append(DiagramTensor(bars.to(points.device), gabriel.to(points.device)))
     return tuple(made)
 
 

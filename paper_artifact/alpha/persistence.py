@@ -4,8 +4,6 @@ The alpha filtration gives a Delaunay simplex the squared radius of its smallest
 point lies inside that sphere (a Gabriel simplex), and otherwise the smallest value among its cofaces
 (Edelsbrunner & Mücke 1994; paper, Method). Two methods return the same diagrams: `fast` (our own Delaunay
 triangulation, filtration and reduction) and `gudhi` (the oracle: gudhi's AlphaComplex at precision `safe`).
-
-Weighted points and periodic boxes are not offered: they need other predicates and other exactness proofs.
 """
 
 from __future__ import annotations
@@ -20,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, as_numbers, real, whole
 
 STAGES = ("delaunay", "filtration", "reduction", "pairs")
-LARGEST = 2.0**1022  # of a coordinate: differences stay finite
+LARGEST = 2.0**1020  # of a coordinate: radii and their differences stay finite
 NOBODY = -1  # the vertices of a death that does not happen
 
 
@@ -97,15 +95,15 @@ def alpha_persistence(
     The same points in another order give the same bits. With `as_given` they are triangulated in the given
     order, which agrees up to rounding: recorded runs do so.
 
-    Raises InputError for another shape, coordinates that are not finite real numbers of at most 2^1022, an
+    Raises InputError for another shape, coordinates that are not finite real numbers of at most 2^1020, an
     unknown method or option, or squares beyond the range of float64.
     """
     points = check_points(points)
-    top = points.shape[1] - 1 if max_dimension is None else max_dimension
-    if top not in range(points.shape[1]):
-        raise InputError(f"max_dimension is {top!r}; give 0 to {points.shape[1] - 1} for these points")
-    if not max_radius >= 0:
-        raise InputError(f"max_radius is {max_radius!r}; give a number of at least 0")
+    top = points.shape[1] - 1
+    top = top if max_dimension is None else whole("max_dimension", max_dimension, 0, top)
+    limit = real(max_radius)
+    if not limit >= 0:
+        raise InputError(f"max_radius is {max_radius!r:.60}; give a number of at least 0")
     if method not in ("fast", "gudhi"):
         raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
     order = np.arange(len(points)) if as_given else canonical_order(points)
@@ -113,8 +111,7 @@ def alpha_persistence(
     found = by(points[order], top=top, squared=squared, names=order)
     if infinite:
         found = (_with_the_first_component(found[0], points), *found[1:])
-    limit = max_radius**2 if squared else max_radius
-    return tuple(_ended(pairs, infinite, limit) for pairs in found)
+    return tuple(_ended(pairs, infinite, limit * limit if squared else limit) for pairs in found)
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
@@ -138,29 +135,15 @@ def check_points(points: Any) -> np.ndarray:
     than LARGEST.
     """
     advice = "give an (n, 3) or (n, 2) array of real numbers"
-    if isinstance(points, np.ma.MaskedArray):
-        raise InputError(f"the mask of the points would be lost; {advice}, e.g. np.ma.compress_rows(points)")
-    try:
-        if hasattr(points, "detach"):
-            points = points.detach().cpu()
-            points = points.double().numpy() if points.is_floating_point() else points.numpy()
-        points = np.asarray(points)
-        kind = points.dtype.kind
-        if kind == "O" and not any(isinstance(each, (str, bytes, complex)) for each in points.flat):
-            points, kind = points.astype(np.float64), "f"
-    except (TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise InputError(f"the points are not numbers ({error}); {advice}") from error
-    if points.shape == (0,):
-        points = np.zeros((0, 3))
-    elif kind not in "iuf":
-        raise InputError(f"the points are not numbers but {points.dtype}; {advice}")
+    points = as_numbers(points, "the points", advice)
+    points = np.zeros((0, 3)) if points.shape == (0,) else points
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"the points have shape {points.shape}; {advice}")
     points = np.ascontiguousarray(points, dtype=np.float64)
     wrong = ~(np.abs(points) <= LARGEST).all(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
-        raise InputError(f"point {row} has a coordinate not finite or beyond 4e307; remove such points first")
+        raise InputError(f"point {row} has a coordinate not finite or beyond 1e307; remove it, or scale all")
     return points
 
 
@@ -215,9 +198,8 @@ def gudhi_persistence(
 ) -> tuple[Pairs, ...]:
     """Return what fast_persistence does, by gudhi's alpha complex and its pairs over Z/2.
 
-    precision: gudhi's, "safe" or "exact"; predicates are exact in both. `safe` radii are exact to 1e-5
-    relative in the worst case (nearly flat tetrahedra, as on a lattice with a jitter of 1e-10, where we saw
-    4e-8); the fast path's agree with `exact` to 1e-9 there as well.
+    precision: gudhi's, "safe" or "exact"; predicates are exact in both, `safe` radii to 1e-5 relative at
+    worst (nearly flat tetrahedra); the fast path's agree with `exact` to 1e-9 there as well.
     """
     import gudhi  # the oracle: only when asked for
 
@@ -258,12 +240,17 @@ class Filtration:
     lengths: np.ndarray  # (e,) float64: of the edges
 
     def simplex_tree(self) -> Any:
-        """Return the complex as a gudhi.SimplexTree with SQUARED radii, as gudhi's AlphaComplex makes it."""
+        """Return the complex as a gudhi.SimplexTree with SQUARED radii, as gudhi's AlphaComplex makes it.
+
+        Raises InputError for squares beyond the range of float64.
+        """
         import gudhi
 
         tree = gudhi.SimplexTree()
         for simplices, radii in zip(self.simplices, self.radii, strict=True):
-            tree.insert_batch(simplices.T.astype(np.int32), radii**2)
+            exponent = int(np.frexp(radii.max(initial=0.0))[1])
+            squares = _squares(np.ldexp(radii, -exponent) ** 2, exponent)
+            tree.insert_batch(simplices.T.astype(np.int32), squares)
         return tree
 
     def shortest_loop(self, birth_simplex: np.ndarray) -> np.ndarray:
@@ -276,10 +263,11 @@ class Filtration:
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
 
-        edges, u_v = self.simplices[1], np.sort(np.asarray(birth_simplex))
+        edges = self.simplices[1]
+        u_v = np.sort(as_numbers(birth_simplex, "the vertices", "give an edge (2,)").ravel())
         place = np.flatnonzero((edges == u_v).all(axis=1)) if u_v.shape == (2,) else np.zeros(0, dtype=int)
         if not len(place):
-            raise InputError(f"{np.asarray(birth_simplex).tolist()} is no edge of the complex")
+            raise InputError(f"{u_v.tolist()} is no edge of the complex; give one of simplices[1]")
         before = self.radii[1] <= self.radii[1][place[0]]
         before[place[0]] = False
         count = int(edges.max()) + 1
@@ -308,17 +296,24 @@ def alpha_filtration(points: Any) -> Filtration:
     with np.errstate(over="ignore"):  # of a nearly flat simplex near LARGEST
         radii = tuple(np.ldexp(np.sqrt(values), made.exponent) for values in made.values[: len(simplices)])
     ends = points[simplices[1]]
-    return Filtration(simplices, radii, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+    return Filtration(simplices, radii, np.hypot.reduce(ends[:, 0] - ends[:, 1], axis=1))
 
 
 def _pairs(rows: tuple, exponent: int, squared: bool) -> Pairs:
     """Return the Pairs of SQUARED radii in units of 2^(2 exponent) and simplices."""
     births, deaths, *simplices = rows
-    if squared and abs(exponent) > 500:
-        raise InputError("the squared radii leave the range of float64; ask for radii or scale the points")
     if squared:
-        return Pairs(np.ldexp(births, 2 * exponent), np.ldexp(deaths, 2 * exponent), *simplices)
+        return Pairs(_squares(births, exponent), _squares(deaths, exponent), *simplices)
     return Pairs(np.ldexp(np.sqrt(births), exponent), np.ldexp(np.sqrt(deaths), exponent), *simplices)
+
+
+def _squares(values: np.ndarray, exponent: int) -> np.ndarray:
+    """Return values · 4^exponent (k,); raise InputError where these leave the range of normal numbers."""
+    with np.errstate(over="ignore"):
+        squares = np.ldexp(values, 2 * exponent)
+    if ((squares < np.finfo(float).tiny) != (values == 0)).any() or not np.isfinite(squares).all():
+        raise InputError("the squared radii leave the range of float64; ask for radii or scale the points")
+    return squares
 
 
 def _with_the_first_component(pairs: Pairs, points: np.ndarray) -> Pairs:

@@ -14,10 +14,8 @@ gradient 0, so the Gabriel gate refuses it and no NaN reaches the vertices.
 
 The gate asks whether a paired simplex's filtration value is its own circumradius, to a relative 1e-6 (paper
 §3.2). In general position a simplex of a bar of positive length is critical, hence Gabriel, so failures mean
-rounding or degenerate input. `LossConfig.fallback` says what then happens. "detach", the paper's default: the
-pair keeps its value in the loss and gets no gradient. "drop": failing bars are taken out before the matching,
-and a sound bar may claim the target instead. The paper's other two, subgradients and a locally denser sample,
-were never needed in its or our runs.
+rounding or degenerate input. `LossConfig.fallback` says what then happens: the pair keeps its value and gets
+no gradient ("detach", the paper's default), or its bar is taken out before the matching ("drop").
 """
 
 from __future__ import annotations

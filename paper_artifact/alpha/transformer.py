@@ -8,8 +8,8 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from paper_artifact.alpha.persistence import alpha_persistence, in_threads, is_batch
-from paper_artifact.errors import InputError
+from paper_artifact.alpha.persistence import alpha_persistence, check_points, in_threads, is_batch
+from paper_artifact.errors import InputError, whole
 
 
 class AlphaTransformer(TransformerMixin, BaseEstimator):
@@ -39,10 +39,13 @@ class AlphaTransformer(TransformerMixin, BaseEstimator):
         return np.stack(in_threads(self._row, clouds))
 
     def _clouds(self, X: Any, reset: bool) -> Any:
+        for name in ("longest", "delay"):
+            whole(name, getattr(self, name), 1)
         if is_batch(X):
-            return X
-        if self.longest < 1 or self.delay < 1:
-            raise InputError(f"longest is {self.longest} and delay {self.delay}; give at least 1")
+            clouds = [check_points(each) for each in X]
+            if len({each.shape[1] for each in clouds}) != 1:
+                raise InputError("X has no clouds, or some in space and some in the plane; give one kind")
+            return clouds
         table = validate_data(self, X, reset=reset, dtype=np.float64)
         return np.stack([np.roll(table, -k * self.delay, axis=1) for k in range(3)], axis=-1)
 

@@ -23,7 +23,8 @@ from paper_artifact.certify.homology import (
     open_edge_count,
 )
 from paper_artifact.errors import InputError
-from paper_artifact.mesh import Mesh, check_arrays, weld
+from paper_artifact.mesh import Mesh, check_scale, weld
+from paper_artifact.sampling import check_arrays
 
 LONGEST = 12  # components that are listed
 NEAR = 1e-6  # of the diagonal: single precision's rounding, a few times over
@@ -120,13 +121,15 @@ def certify_mesh(
     where open edges are all that is wrong. progress: called with the name of each stage as it begins. Raises
     InputError when nothing is left after the weld, and as `check_arrays` does.
     """
-    vertices, faces, name = mesh.vertices, mesh.faces, mesh.name
-    stage = progress or (lambda name: None)
-    check_arrays(vertices, faces, name)
+    if not isinstance(mesh, Mesh):
+        raise InputError(f"a {type(mesh).__name__} is no Mesh; make one by `mesh.checked_mesh`")
+    name, stage = mesh.name, progress or (lambda name: None)
+    vertices, faces = check_arrays(mesh.vertices, mesh.faces, name)
     stage("weld")
     welded, indexed = weld(vertices, faces)
     if len(indexed) == 0:
         raise InputError(f"{name} has no triangle with three different corners; give a mesh with a surface")
+    check_scale(welded, name)
     stage("edges")
     simplices = make_complex(indexed, len(welded))
     stage("manifold checks")
@@ -147,7 +150,7 @@ def certify_mesh(
         name=name,
         vertices_as_indexed=len(vertices),
         faces_as_indexed=len(faces),
-        open_edges_as_indexed=open_edge_count(np.asarray(faces), len(vertices)),
+        open_edges_as_indexed=open_edge_count(faces, len(vertices)),
         vertices=len(welded),
         edges=len(simplices.edges),
         faces=len(indexed),

@@ -8,20 +8,27 @@ locked for all live evaluations.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.arithmetic import norm
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, whole
 from paper_artifact.files import load_json, write_json
 from paper_artifact.randomness import stream
-from paper_artifact.sampling import sample_surface
-from paper_artifact.topology.floor import MULTIPLIER, measurement_floor, significant
+from paper_artifact.sampling import check_arrays, sample_surface
+from paper_artifact.topology.floor import (
+    MULTIPLIER,
+    diagonal_of,
+    in_diagonals,
+    measurement_floor,
+    significant,
+    space_points,
+)
 
 FORMAT = "paper_artifact target bundle 1"
 MOST_SAMPLES = 10**8  # of a cloud whose persistence somebody could wait for, and more
@@ -97,10 +104,11 @@ def build_bundle(
     `alpha_persistence`. Raises InputError when a dimension of `dimensions` has no significant bar, when none
     has, or for bad points.
     """
-    points = np.ascontiguousarray(points, dtype=np.float64)
+    points, seed = np.ascontiguousarray(space_points(points, 2, "a bundle")), whole("seed", seed)
     floor = measurement_floor(points, diagonal, k)
     bars, reasons, found = [], [], []
-    for dimension, pairs in enumerate(alpha_persistence(points / diagonal, method, as_given=True)):
+    cloud = in_diagonals(points, diagonal)
+    for dimension, pairs in enumerate(alpha_persistence(cloud, method, as_given=True)):
         every = np.column_stack([pairs.births, pairs.deaths])
         lengths = every[:, 1] - every[:, 0]
         kept = every[significant(every, floor)]
@@ -108,24 +116,22 @@ def build_bundle(
         if len(kept):
             found.append(dimension)
         reasons.append(_reason(lengths, floor, len(kept), len(points)))
-    chosen = tuple(found) if dimensions is None else tuple(sorted(set(dimensions)))
+    chosen, suppress = tuple(found) if dimensions is None else _numbers(dimensions), _numbers(suppress)
     for dimension in chosen:
-        if dimension not in (0, 1, 2):
-            raise InputError(
-                f"dimension {dimension} does not exist in three-dimensional space; choose among 0, 1 and 2"
-            )
         if not len(bars[dimension]):
             raise InputError(
                 f"{shape!r} has no significant bar in dimension {dimension} at M = {len(points)} "
                 f"({reasons[dimension]}); choose another dimension, or a larger M"
             )
+    if not chosen and not suppress and dimensions is not None:
+        raise InputError("no dimension to act in; name one in dimensions or suppress, or leave both out")
     if not chosen and not suppress:
         raise InputError(f"{shape!r} has no significant bar in any dimension at M = {len(points)}; raise M")
-    for dimension in set(suppress):
-        if dimension not in (0, 1, 2) or len(bars[dimension]):
+    for dimension in suppress:
+        if len(bars[dimension]):
             raise InputError(
-                f"dimension {dimension} of {shape!r} cannot be suppressed: it has a significant target bar, "
-                "or it does not exist"
+                f"dimension {dimension} of {shape!r} has a significant target bar and cannot be suppressed; "
+                "leave it out"
             )
     acted = tuple(sorted(set(chosen) | set(suppress)))
     return Bundle(
@@ -133,7 +139,7 @@ def build_bundle(
         dimensions=acted,
         reasons=tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons)),
         samples=len(points),
-        seed=int(seed),
+        seed=seed,
         floor=floor,
         floor_multiplier=float(k),
         diagonal=float(diagonal),
@@ -155,10 +161,10 @@ def build_from_mesh(
 
     The sample is uniform by area; D is the bounding-box diagonal of the vertices. The draw is a function of
     `seed` and equals the live soup's sampler with opacity 1. Further options: those of `build_bundle`. Raises
-    InputError as `build_bundle` and `sample_surface` do.
+    InputError as `build_bundle`, `check_arrays` and `sample_surface` do.
     """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-    diagonal = float(norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    vertices, faces = check_arrays(vertices, faces, shape)
+    diagonal = diagonal_of(np.ptp(vertices, axis=0))
     points, _, _ = sample_surface(vertices, faces, samples, stream(seed, "bundle-samples"))
     return build_bundle(
         points, diagonal, shape=shape, seed=seed, source=fingerprint(vertices, faces), **options
@@ -172,7 +178,7 @@ def load_bundle(path: Path | str) -> Bundle:
     """
     try:
         value = load_json(path)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"cannot read the bundle {path}: {error}; build it again") from error
     return bundle_from_json(value, str(path))
 
@@ -230,6 +236,17 @@ def fingerprint(*arrays: np.ndarray) -> str:
         digest.update(f"{kind}{each.shape}".encode())
         digest.update(np.ascontiguousarray(each, dtype=kind).tobytes())
     return "sha256:" + digest.hexdigest()
+
+
+def _numbers(dimensions: Any) -> tuple[int, ...]:
+    """Return dimensions, one or several, as sorted ints; raise InputError for what is none of 0, 1, 2."""
+    several = dimensions if isinstance(dimensions, Iterable) else (dimensions,)
+    for each in several:
+        if not isinstance(each, Integral) or each not in (0, 1, 2):
+            raise InputError(
+                f"dimension {each!r} does not exist in three-dimensional space; choose among 0, 1 and 2"
+            )
+    return tuple(sorted({int(each) for each in several}))
 
 
 def _reason(lengths: np.ndarray, floor: float, kept: int, count: int) -> str:

@@ -7,17 +7,58 @@ M)), so the floor falls as M^(-1/2).
 
 from __future__ import annotations
 
-from typing import Protocol
+import math
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from paper_artifact.alpha.persistence import LARGEST
 from paper_artifact.arithmetic import dot, norm, normals, product
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, as_numbers, real
 from paper_artifact.randomness import stream
 
 FLAT = 1e-12  # height over extent below which a cloud counts as coplanar
 MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
+FAR = 1e100  # times a diagonal, or a part of it: a size of points whose squares leave float64
+
+
+def space_points(points: Any, least: int, what: str) -> np.ndarray:
+    """Return `points` (n,3) as float64. Raises InputError, a sentence that begins with `what`, for fewer than
+    `least`, another shape, what are no numbers, and coordinates not finite or beyond LARGEST of `alpha`."""
+    points = np.asarray(as_numbers(points, "the points", "give an (n, 3) array of real numbers"), np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < least:
+        raise InputError(
+            f"{what} needs at least {least} points of shape (n, 3), got {points.shape}; give more"
+        )
+    if not (np.abs(points) <= LARGEST).all():
+        raise InputError(
+            f"{what} needs coordinates that are finite and below 1e307; remove others, scale all, or take "
+            "smaller steps"
+        )
+    return points
+
+
+def unit_of(extent: np.ndarray) -> float:
+    """Return the power of two just below the largest of an extent (3,): in this unit no square of a distance
+    leaves float64, and to divide by it is exact."""
+    return 2.0 ** (math.frexp(float(extent.max()))[1] - 1)
+
+
+def diagonal_of(extent: np.ndarray) -> float:
+    """Return the length of a box's extent (3,), of any size."""
+    unit = unit_of(extent)
+    return float(norm(extent / unit)) * unit
+
+
+def in_diagonals(points: np.ndarray, diagonal: float) -> np.ndarray:
+    """Return `points` (n,3) divided by the diagonal. Raises InputError where they have not its scale."""
+    size = diagonal_of(np.ptp(points, axis=0)) / diagonal
+    if size and not 1 / FAR < size < FAR:
+        raise InputError(
+            f"the points extend over {size:.1g} diagonals of {diagonal:.3g}; give the diagonal in their unit"
+        )
+    return points / diagonal
 
 
 def median_spacing(points: np.ndarray) -> float:
@@ -25,22 +66,18 @@ def median_spacing(points: np.ndarray) -> float:
 
     Raises InputError for fewer than two points or a coordinate that is not finite.
     """
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(
-            f"the median spacing needs at least two points (n, 3), got {points.shape}; draw more samples"
-        )
-    if not np.isfinite(points).all():
-        raise InputError("the points hold a coordinate that is not finite; remove it before measuring")
+    points = space_points(points, 2, "the median spacing")
+    unit = unit_of(np.ptp(points, axis=0))
+    points = points / unit
     distances, _ = cKDTree(points).query(points, k=2)
-    return float(np.median(distances[:, 1]))
+    return float(np.median(distances[:, 1])) * unit
 
 
 def check_diagonal(diagonal: float) -> None:
     """Raise InputError unless `diagonal` (world units) is a positive, finite length."""
-    if not np.isfinite(diagonal) or diagonal <= 0:
+    if not 0 < real(diagonal) < np.inf:
         raise InputError(
-            f"the diagonal must be a positive length, got {diagonal}; "
+            f"the diagonal must be a positive length, got {diagonal!r:.60}; "
             "use the ground truth's bounding-box diagonal"
         )
 
@@ -50,9 +87,11 @@ def measurement_floor(points: np.ndarray, diagonal: float, k: float = MULTIPLIER
 
     points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in
     the paper. Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal
-    that is not positive.
+    or k that is not positive.
     """
     check_diagonal(diagonal)
+    if not 0 < real(k) < np.inf:
+        raise InputError(f"k is {k!r:.60}; give a positive number, {MULTIPLIER:g} in the paper")
     return k * median_spacing(points) / float(diagonal)
 
 
@@ -63,7 +102,7 @@ def uniform_spacing(area: float, count: int) -> float:
     count/area); the median is where this is one half. area in squared units, result in that unit (paper §6,
     the uniform-sampling law). Raises InputError when area or count is not positive.
     """
-    if not area > 0 or not count > 0:
+    if not (0 < real(area) < np.inf and 0 < real(count) < np.inf):
         raise InputError(f"the closed-form spacing needs a positive area and count, got {area} and {count}")
     return float(np.sqrt(np.log(2.0) * area / (np.pi * count)))
 
@@ -91,23 +130,17 @@ class Frame(Protocol):
 def check_cloud(cloud: np.ndarray, frame: Frame) -> np.ndarray:
     """Return `cloud` (M,3), world units, as float64 divided by the frame's diagonal.
 
-    Raises InputError for another density than the frame's, fewer than 4 points, coplanar points, or NaN.
+    Raises InputError for another density than the frame's, fewer than 4 points, coplanar points, NaN, or
+    another scale than the diagonal's.
     """
-    cloud = np.asarray(cloud, dtype=np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < 4:
-        raise InputError(
-            f"the loss needs at least 4 points of shape (M, 3), got {cloud.shape}; draw more samples"
-        )
-    if not np.isfinite(cloud).all():
-        raise InputError(
-            "the live points hold a coordinate that is not finite; lower the learning rate or remove them"
-        )
+    cloud = space_points(cloud, 4, "the loss")
     frame.require_density(len(cloud))
-    if _height((cloud - cloud.mean(axis=0)) / frame.diagonal) <= FLAT:
+    scaled = cloud / unit_of(np.ptp(cloud, axis=0))
+    if _height(scaled - scaled.mean(axis=0)) <= FLAT:
         raise InputError(
             "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
         )
-    return cloud / frame.diagonal
+    return in_diagonals(cloud, frame.diagonal)
 
 
 def _height(cloud: np.ndarray) -> float:

@@ -34,18 +34,20 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.arithmetic import log, norm
+from paper_artifact.arithmetic import log
 from paper_artifact.config import LossConfig, with_changes
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, as_numbers, whole
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.floor import (
     MULTIPLIER,
     Frame,
     check_cloud,
+    diagonal_of,
     measurement_floor,
     median_spacing,
     noisy,
@@ -72,11 +74,16 @@ class PlannedLoss(ABC):
     """A loss of M points whose plan is refreshed every few calls; what it aims at is a subclass's.
 
     defaults, settings: its LossConfig and what is changed in it; seed: of the noise that only the plan sees.
-    Raises InputError for an unknown setting or one out of range.
+    Raises InputError for a setting that it does not follow or one out of range.
     """
 
+    follows: tuple[str, ...] = ("noise", "curvature_weighted", "refresh_every", "fallback", "method")
+
     def __init__(self, defaults: LossConfig, settings: Mapping[str, Any], seed: int) -> None:
-        self.config, self.seed = with_changes(defaults, settings), seed
+        if ignored := ", ".join(sorted(set(settings) - set(self.follows))):
+            words = f"{type(self).__name__} does not follow the setting {ignored}"
+            raise InputError(f"{words}; choose among {', '.join(self.follows)}")
+        self.config, self.seed = with_changes(defaults, settings), whole("seed", seed)
         self.plan: Plan | None = None
         self._calls = self._refreshes = 0
 
@@ -94,7 +101,7 @@ class PlannedLoss(ABC):
         Raises InputError when M is not the bundle's, for fewer than 4 points, coplanar ones, or a coordinate
         that is not finite.
         """
-        cloud = points.detach().cpu().numpy() if isinstance(points, Tensor) else np.asarray(points)
+        cloud = as_numbers(points, "the points", "give an (M, 3) array of real numbers")
         frame = self.frame(cloud)
         seen = noisy(check_cloud(cloud, frame), self.config.noise, self.seed, self._refreshes)
         self.plan, self._diagonal = self.make(seen), frame.diagonal
@@ -128,6 +135,8 @@ class PlannedLoss(ABC):
             raise InputError(
                 f"the plan was made on {plan.samples} points, got {len(points)}; call refresh(points)"
             )
+        if self._diagonal * torch.finfo(points.dtype).max < 1.0:
+            raise InputError(f"{points.dtype} cannot hold gradients by points so small; scale them up")
         used = points[plan.used.to(points.device)].cpu().double() / self._diagonal
         return plan.value(used).to(device=points.device, dtype=points.dtype)
 
@@ -135,12 +144,16 @@ class PlannedLoss(ABC):
 class TopologyLoss(PlannedLoss):
     """Matched persistence loss of M points against a bundle.
 
-    seed: of the noise that only the plan sees; settings: fields of `paper_artifact.config.LossConfig`, for
-    example refresh_every=0 (only `refresh` makes a plan) or noise=.005. Raises InputError for an unknown
-    setting or one out of range.
+    seed: of the noise that only the plan sees; settings: those fields of `paper_artifact.config.LossConfig`
+    that stand in `follows`, for example refresh_every=0 (only `refresh` makes a plan) or noise=.005; samples
+    and dimensions are the bundle's. Raises InputError for another setting or one out of range.
     """
 
+    follows = (*PlannedLoss.follows, "recruitment", "floor_source")
+
     def __init__(self, bundle: Bundle, *, seed: int = 0, **settings: Any) -> None:
+        if not isinstance(bundle, Bundle):
+            raise InputError(f"a {type(bundle).__name__} is no Bundle; make one by `build_bundle`")
         super().__init__(LossConfig(samples=bundle.samples), settings, seed)
         self.bundle = bundle
 
@@ -166,12 +179,15 @@ class BettiLoss(PlannedLoss):
 
     preset: "points" acts on bare points, which nothing else moves; "soup" on samples of a surface that images
     move too (condition T1). diagonal: the unit of the loss, world units; None takes the bounding box of the
-    first points it sees. seed: of the noise that only the plan sees; settings: fields of
-    `paper_artifact.config.LossConfig`, over the preset's, for example dimensions=(1,), refresh_every=0 (only
-    `refresh` makes a plan). A wanted class that the guard keeps the loss from is a Python warning, once.
+    first points it sees. seed: of the noise that only the plan sees; settings: those fields of
+    `paper_artifact.config.LossConfig` that stand in `follows`, over the preset's, for example
+    dimensions=(1,), refresh_every=0 (only `refresh` makes a plan). A wanted class that the guard keeps the
+    loss from is a Python warning, once.
     Raises InputError for other than three whole numbers b0 >= 1, b1 >= 0, b2 >= 0, an unknown preset, and as
     `TopologyLoss` does.
     """
+
+    follows = (*PlannedLoss.follows, "betti", "dimensions", "guard", "suppress", "aim", "pull")
 
     def __init__(
         self,
@@ -196,8 +212,7 @@ class BettiLoss(PlannedLoss):
         """Return the statement, in the unit of the first points (M,3)."""
         if self.statement is None:
             extent = np.ptp(points, axis=0) if points.ndim == 2 and len(points) else np.zeros(3)
-            _, exponent = math.frexp(float(extent.max()))  # so that no square is too large or too small
-            diagonal = math.ldexp(float(norm(np.ldexp(extent, -exponent))), exponent)
+            diagonal = diagonal_of(extent)
             if not np.isfinite(diagonal) or diagonal <= 0:  # the cloud's own check says what is wrong
                 return Statement(self.betti, 1.0)
             self.statement = Statement(self.betti, diagonal)

@@ -23,11 +23,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.arithmetic import dot, norm, spreads, symmetric_eigen
+from paper_artifact.arithmetic import dot, spreads, symmetric_eigen
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.topology.floor import check_diagonal, measurement_floor
+from paper_artifact.topology.floor import (
+    check_diagonal,
+    diagonal_of,
+    measurement_floor,
+    space_points,
+    unit_of,
+)
 
 NAMES = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 # Lifetimes of noise-born bars reach .35 to .49 of the floor on clean samples: what a loss without a guard
@@ -85,11 +91,8 @@ def frame_diagonal(points: np.ndarray) -> float:
 
     Raises InputError for a cloud without extent or a coordinate that is not finite.
     """
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
-        raise InputError(f"a frame needs at least 4 finite points of shape (n, 3), got {points.shape}")
-    low, high = np.percentile(points, BOX, axis=0)
-    diagonal = float(norm(high - low))
+    low, high = np.percentile(space_points(points, 4, "a frame"), BOX, axis=0)
+    diagonal = diagonal_of(high - low)
     if not diagonal > 0:
         raise InputError("all points lie in one place, which has no extent to measure by; check the cloud")
     return diagonal
@@ -325,7 +328,6 @@ def cleaned(points: np.ndarray) -> np.ndarray:
 
     Raises InputError for fewer than 4 points or a coordinate that is not finite.
     """
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
-        raise InputError(f"cleaning needs at least 4 finite points of shape (n, 3), got {points.shape}")
-    return trimmed(projected(trimmed(points)))
+    points = space_points(points, 4, "cleaning")
+    unit = unit_of(np.ptp(points, axis=0))
+    return trimmed(projected(trimmed(points / unit))) * unit
