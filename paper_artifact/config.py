@@ -123,9 +123,11 @@ class LossConfig:
         _check_betti(self)
         if self.ramp is not None and not (len(self.ramp) == 2 and 0 <= self.ramp[0] < self.ramp[1] <= 1):
             raise InputError(f"ramp must be two fractions 0 <= start < end <= 1, or None, got {self.ramp}")
-        if self.dimensions is not None and not (self.dimensions and set(self.dimensions) <= {0, 1, 2}):
+        if (chosen := self.dimensions) is not None and not (
+            chosen and set(chosen) <= {0, 1, 2} and len(set(chosen)) == len(chosen)
+        ):
             raise InputError(
-                f"dimensions must be some of 0, 1, 2, or None for the significant ones, got {self.dimensions}"
+                f"dimensions must be some of 0, 1, 2, or None for the significant ones, got {chosen}"
             )
 
 

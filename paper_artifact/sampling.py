@@ -26,8 +26,8 @@ def check_indices(vertices: Any, faces: Any, name: str) -> tuple[np.ndarray, np.
         raise InputError(f"{name} has vertices {vertices.shape} and faces {given.shape}; {advice}")
     with np.errstate(invalid="ignore"):
         faces = given.astype(np.int64, copy=False)
-    if faces is not given and (faces != given).any():
-        raise InputError(f"{name} has a face that refers to a fraction of a vertex; {advice}")
+    if faces is not given and (wrong := given[faces != given]).size:
+        raise InputError(f"{name} has a face that refers to vertex {wrong[0]}, no whole number; {advice}")
     wrong = faces[(faces < 0) | (faces >= len(vertices))]
     if wrong.size:
         raise InputError(
@@ -85,6 +85,9 @@ def sample_surface(
     vertices, faces = check_indices(vertices, faces, "the surface")
     mass = face_areas(vertices, faces)
     if weights is not None:
+        weights = as_numbers(weights, "the weights", f"give {len(faces)} numbers, one a face")
+        if weights.shape != mass.shape:
+            raise InputError(f"the weights have shape {weights.shape}; give {len(faces)}, one a face")
         mass = mass * np.asarray(weights, dtype=np.float64)
     cumulated = np.cumsum(mass)
     if len(mass) == 0 or not np.isfinite(cumulated[-1]) or mass.min() < 0 or cumulated[-1] <= 0:
@@ -111,11 +114,12 @@ def sample_soup(
     triangle's mean, or None for 1 (paper §3.2). Raises InputError also for wrong shapes, coordinates that are
     not finite or opacities outside [0,1].
     """
-    vertices = np.asarray(vertices, dtype=np.float64)
-    shape = np.shape(vertices[..., 0]) if opacity is None else np.shape(opacity)
+    vertices = np.asarray(as_numbers(vertices, "the soup's vertices", "give (T,3,3)"), dtype=np.float64)
+    given = None if opacity is None else as_numbers(opacity, "the soup's opacities", "give (T,3)")
+    shape = vertices.shape[:2] if given is None else given.shape
     if vertices.ndim != 3 or vertices.shape[1:] != (3, 3) or shape != vertices.shape[:2]:
         raise InputError(f"a soup has vertices (T,3,3) and opacity (T,3), got {vertices.shape} and {shape}")
-    alpha = None if opacity is None else np.asarray(opacity, dtype=np.float64)
+    alpha = None if given is None else np.asarray(given, dtype=np.float64)
     if not np.isfinite(vertices).all() or not (alpha is None or ((alpha >= 0) & (alpha <= 1)).all()):
         raise InputError(
             "the soup holds coordinates that are not finite or opacities outside [0, 1]; "

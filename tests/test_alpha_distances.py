@@ -195,6 +195,8 @@ def test_diagrams_of_every_kind_are_bars():
         assert torch.equal(call(whole), call(whole.bars)) and call(whole).requires_grad
         of_integers = call(torch.tensor([[0, 3], [1, 2]]))
         np.testing.assert_allclose(of_integers, call(np.array([[0.0, 3.0], [1.0, 2.0]])))
+    assert torch.equal(wasserstein(torch.tensor([[0.0, np.inf]]), []), torch.tensor(np.inf))
+    assert persistence_image([[1e17, 1e17 + 64]]).max() > 0 == persistence_landscape([[1e17, 1e17]]).max()
 
 
 @settings(max_examples=50, deadline=None)
@@ -214,6 +216,9 @@ def test_a_plot_shows_every_bar():
     diagrams = alpha_persistence(cloud(), infinite=True)
     axes = plot_diagram(diagrams, plt.figure().subplots())
     assert [len(each.get_offsets()) for each in axes.collections] == [len(each) for each in diagrams]
+    for wrong in (diagrams[1], None, 3):
+        with pytest.raises(InputError, match="give a list of diagrams"):
+            plot_diagram(wrong)
     plt.close("all")
 
 

@@ -52,6 +52,7 @@ def same(ours, theirs) -> bool:
         CORNER.astype(object),
         CORNER.astype(np.longdouble),
         np.asfortranarray(CORNER),
+        np.broadcast_to(CORNER, (4, 3)),  # not writeable
         torch.tensor(CORNER, dtype=torch.int64),
         torch.tensor(CORNER, dtype=torch.bfloat16),
         torch.tensor(CORNER, requires_grad=True),
@@ -63,6 +64,7 @@ def test_kinds_of_numbers_that_mean_the_same(points):
     assert same(alpha_persistence(points), right)
     for diagram, pairs in zip(alpha_diagrams(points), right, strict=True):
         np.testing.assert_allclose(diagram.bars.detach().double().numpy(), pairs.diagram, rtol=1e-2)
+    assert len(alpha_diagrams(torch.zeros(0))[0]) == 0
     assert alpha_diagrams(torch.tensor(CORNER).long())[0].bars.dtype == torch.float64
 
 
@@ -103,6 +105,8 @@ def test_what_is_no_cloud_is_one_sentence(points):
 def test_bars_and_gradients_scale_exactly(power):
     points, scale = torch.tensor(cloud(), requires_grad=True), 2.0**power
     far = (points.detach() * scale).requires_grad_()
+    for ours, theirs in zip(alpha_persistence(far), alpha_persistence(far, "gudhi"), strict=True):
+        np.testing.assert_allclose(np.sort(ours.deaths) / scale, np.sort(theirs.deaths) / scale, rtol=1e-5)
     for one, other in zip(alpha_diagrams(points), alpha_diagrams(far), strict=True):
         assert torch.equal(other.bars, one.bars * scale) and bool(other.gabriel.all())
     gradients = [

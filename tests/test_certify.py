@@ -226,7 +226,7 @@ NO_MESH = {
     ),
     "negative": (Mesh(BOX.vertices, BOX.faces - 8, "box"), "box has a face that refers to vertex -"),
     "beyond": (Mesh(BOX.vertices, BOX.faces + 8, "box"), "box has a face that refers to vertex"),
-    "fractions": (Mesh(BOX.vertices, BOX.faces + 0.5, "box"), "refers to a fraction of a vertex"),
+    "fractions": (Mesh(BOX.vertices, BOX.faces + 0.5, "box"), "refers to vertex .*, no whole number"),
     "quads": (Mesh(BOX.vertices, np.array([[0, 1, 3, 2]]), "box"), r"faces \(1, 4\)"),
     "plane": (Mesh(BOX.vertices[:, :2], BOX.faces, "box"), r"vertices \(8, 2\)"),
     "huge": (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300: too much or too little"),

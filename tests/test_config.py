@@ -52,6 +52,7 @@ from paper_artifact.record.store import config_hash
         ({"loss": {"samples": 3}}, "samples must be at least 4"),
         ({"loss": {"dimensions": ()}}, "dimensions must be some of 0, 1, 2"),
         ({"loss": {"dimensions": (1, 3)}}, "dimensions must be some of 0, 1, 2"),
+        ({"loss": {"dimensions": (1, 1)}}, "dimensions must be some of 0, 1, 2"),
         ({"loss": {"refresh_every": 0}}, "refresh_every must be at least 1"),
         ({"loss": {"fallback": "ignore"}}, "unknown fallback 'ignore'"),
         ({"loss": {"kind": "love"}}, "unknown kind 'love'"),

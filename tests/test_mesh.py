@@ -80,8 +80,8 @@ def test_arrays_are_checked_like_files():
         checked_mesh(square, np.zeros((0, 3), int), "soup")
     for vertices, faces, words in (
         (square, [[0, 1, -1]], "vertex -1"),
-        (square, np.array([[0, 1, 2]]) + 0.9, "soup has a face that refers to a fraction of a vertex"),
-        (square, [[0, 1, np.nan]], "refers to a fraction"),
+        (square, np.array([[0, 1, 2]]) + 0.9, "soup has a face that refers to vertex 0.9, no whole"),
+        (square, [[0, 1, np.nan]], "vertex nan, no whole"),
         (square, [[0, 1, 2, 0]], r"vertices \(3, 3\) and faces \(1, 4\)"),
         (square[:, :2], [[0, 1, 2]], r"vertices \(3, 2\)"),
         ("abc", [[0, 1, 2]], "the vertices of soup are not numbers"),

@@ -8,7 +8,7 @@ from scipy import stats
 
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
-from paper_artifact.sampling import sample_surface
+from paper_artifact.sampling import sample_soup, sample_surface
 from paper_artifact.scene.shapes import make_shape
 
 
@@ -58,6 +58,12 @@ def test_nothing_to_draw_from_is_an_error():
     ):
         with pytest.raises(InputError, match="area × weight"):
             sample_surface(mesh.vertices, faces, 10, stream(0, "test"), weights=weights)
+    for weights, words in ((np.ones(3), r"shape \(3,\); give 12, one a face"), ("abc", "are not numbers")):
+        with pytest.raises(InputError, match=words):
+            sample_surface(mesh.vertices, mesh.faces, 10, stream(0, "test"), weights=weights)
+    for vertices in ("abc", None, mesh.vertices):
+        with pytest.raises(InputError, match="soup"):
+            sample_soup(vertices, None, 10, stream(0, "test"))
     with pytest.raises(InputError, match="number of samples is -1; give a whole number of at least 0"):
         sample_surface(mesh.vertices, mesh.faces, -1, stream(0, "test"))
     assert len(sample_surface(mesh.vertices, mesh.faces, 0, stream(0, "test"))[0]) == 0

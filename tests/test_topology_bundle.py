@@ -41,7 +41,10 @@ def test_bundle_refuses_empty_dimensions_and_names_them():
                 build_bundle(sphere(0), 3.46, **options)
     with pytest.raises(InputError, match="no dimension to act in"):
         build_bundle(sphere(0), 3.46, dimensions=())
-    both = build_bundle(sphere(0), 3.46, dimensions=np.int64(2), suppress=np.array([1]))
+    numbers = {"k": np.float32(6), "seed": np.int64(3), "dimensions": np.int64(2)}
+    both = build_bundle(
+        sphere(0), np.float32(3.46), dimensions=np.int64(2), suppress=np.array([1]), **numbers
+    )
     assert json.loads(json.dumps(both.to_json()))["dimensions"] == [1, 2]
     assert both.dimensions == (1, 2) and both.reasons[1].startswith("suppressed on purpose")
 
@@ -60,6 +63,7 @@ BAD: dict[str, tuple[dict, str]] = {
     "k negative": ({"k": -1}, "k is -1; give a positive number"),
     "k 0": ({"k": 0}, "k is 0; give a positive number"),
     "k infinite": ({"k": np.inf}, "k is inf; give a positive number"),
+    "twice": ({"points": np.repeat(sphere(0), 2, axis=0)}, "most points repeat others"),
     "seed": ({"seed": -1}, "seed is -1; give a whole number of at least 0"),
     "half a seed": ({"seed": 0.5}, "seed is 0.5; give a whole number"),
 }
@@ -110,7 +114,7 @@ def test_bundle_from_mesh_is_a_function_of_its_seed_and_knows_its_mesh():
         ({"vertices": np.zeros((0, 3)), "faces": np.zeros((0, 3), int)}, "cube has no triangles"),
         ({"vertices": corners[:, :2]}, r"cube has vertices \(8, 2\) and faces \(12, 3\)"),
         ({"vertices": corners * np.nan}, "NaN or infinite"),
-        ({"faces": faces + 0.4}, "refers to a fraction of a vertex"),
+        ({"faces": faces + 0.4}, "refers to vertex .*, no whole number"),
         ({"samples": 2.5}, "number of samples is 2.5; give a whole number of at least 0"),
         ({"samples": -5}, "number of samples is -5; give a whole number of at least 0"),
         ({"seed": -1}, "seed is -1; give a whole number from 0"),

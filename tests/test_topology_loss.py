@@ -175,7 +175,8 @@ def test_float32_points_keep_their_dtype_and_the_live_floor_is_an_option(void):
     value.backward()
     assert value.dtype == points.grad.dtype == torch.float32
     assert value.item() == pytest.approx(TopologyLoss(bundle)(torch.tensor(live)).item(), rel=1e-3)
-    assert build_plan(live / bundle.diagonal, bundle).report["floor"] == bundle.floor
+    for cloud in (live / bundle.diagonal, (live / bundle.diagonal).tolist(), points / bundle.diagonal):
+        assert build_plan(cloud, bundle).report["floor"] == bundle.floor
     report = build_plan(live / bundle.diagonal, bundle, LossConfig(floor_source="live")).report
     assert report["floor"] == report["live_floor"] == measurement_floor(live, bundle.diagonal)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -68,13 +67,8 @@ def build(points: np.ndarray, begin: Stage) -> Complex:
         edge_count = distinct + len(triangles) - len(cells) - 1  # a ball
         of_triangle, edges = filtration.edges_of(triangles, n, edge_count)
         values = filtration.values(cloud, (edges, triangles, cells), of_triangle, sides)
-    return _complex(exponent, names, (edges, triangles, cells), values, of_triangle, sides)
-
-
-def _complex(exponent: int, names: np.ndarray, simplices: tuple, values: Any, *incidences: Any) -> Complex:
-    """Return the Complex with its vertices, given all else."""
-    vertices = np.arange(len(names), dtype=np.int32)[:, None]
-    return Complex(exponent, names, [vertices, *simplices], [np.zeros(len(names)), *values], *incidences)
+    simplices = [np.arange(n, dtype=np.int32)[:, None], edges, triangles, cells]
+    return Complex(exponent, names, simplices, [np.zeros(n), *values], of_triangle, sides)
 
 
 def _coned(ordered: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,8 +93,9 @@ def _on_a_line(ordered: np.ndarray, order: np.ndarray, exponent: int, begin: Sta
     x, y, z = (points[places[1:]] - points[places[:-1]]).T
     edges = np.column_stack([places[:-1], places[1:]])
     two, three, four = (np.zeros((0, columns), dtype=np.int32) for columns in (2, 3, 4))
-    values = (x * x + y * y + z * z) / 4.0, np.zeros(0), np.zeros(0)
-    return _complex(exponent, order[along], (edges, three, four), values, three, two)
+    values = [np.zeros(len(points)), (x * x + y * y + z * z) / 4.0, np.zeros(0), np.zeros(0)]
+    simplices = [np.arange(len(points), dtype=np.int32)[:, None], edges, three, four]
+    return Complex(exponent, order[along], simplices, values, three, two)
 
 
 def squared_bars(made: Complex, top: int, names: np.ndarray) -> list[Bars]:

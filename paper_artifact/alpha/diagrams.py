@@ -54,9 +54,9 @@ def alpha_diagrams(
     """
     checked = check_points(points)
     if not isinstance(points, Tensor) or not points.is_floating_point():
-        points = torch.from_numpy(checked)
+        points = torch.tensor(checked)
     order = canonical_order(checked)
-    cloud = points.to("cpu", torch.float64)[torch.from_numpy(order)]
+    cloud = points.reshape(checked.shape).to("cpu", torch.float64)[torch.from_numpy(order)]
     if cloud.shape[1] == 2:
         cloud = torch.nn.functional.pad(cloud, (0, 1))
     made = []
@@ -104,9 +104,9 @@ def circumradius(corners: Tensor) -> Tensor:
     Dtype and device are those of the corners. Differentiable once, by the closed form above. Use float64: the
     Gabriel gate compares at 1e-6. Raises InputError for another shape or an integer dtype.
     """
-    shape = tuple(corners.shape)
-    if shape[1:] not in [(k, 3) for k in range(1, 5)] or not corners.is_floating_point():
-        raise InputError(f"corners must be floats of shape (n, 1 to 4, 3), got {corners.dtype} {shape}")
+    shape = tuple(corners.shape) if isinstance(corners, Tensor) and corners.is_floating_point() else ()
+    if shape[1:] not in [(k, 3) for k in range(1, 5)]:
+        raise InputError(f"corners must be a tensor of floats (n, 1 to 4, 3), got {corners!r:.80}")
     return _Circumradius.apply(corners)
 
 

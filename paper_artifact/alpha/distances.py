@@ -140,8 +140,9 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     if len(x) * len(y) > MANY:
         require_memory(48.0 * len(x) * len(y), f"matching {len(x)} with {len(y)} bars", "drop short bars")
     never = [np.flatnonzero(np.isinf(each[:, 1])) for each in (x, y)]
+    like = next((each for each in (a, b) if hasattr(each, "detach")), None)
     if len(never[0]) != len(never[1]):
-        return np.inf
+        return np.inf if like is None else like.new_tensor(np.inf)
     some_x, some_y = (np.flatnonzero(np.isfinite(each[:, 1])) for each in (x, y))
     half = 2.0 ** (1.0 / internal - 1.0)  # a bar's distance to the diagonal, per lifetime
     largest = max(np.abs(each).max(initial=0.0) for each in (x[some_x], y[some_y], x[:, 0], y[:, 0]))
@@ -155,21 +156,21 @@ def wasserstein(a: Any, b: Any, order: float = 1.0, internal: float = np.inf) ->
     rows, columns = some_x[rows[pays]], some_y[columns[pays]]
     left = np.setdiff1d(some_x, rows), np.setdiff1d(some_y, columns)
     by_birth = never[0][np.argsort(x[never[0], 0])], never[1][np.argsort(y[never[1], 0])]
-    tensors = hasattr(a, "detach") or hasattr(b, "detach")
     norm: Any = np.linalg.norm
-    if tensors:
+    if like is not None:
         import torch
 
         norm = torch.linalg.vector_norm
-        x = a / unit if hasattr(a, "detach") else b.new_tensor(x)
-        y = b / unit if hasattr(b, "detach") else a.new_tensor(y)
+        x = a / unit if hasattr(a, "detach") else like.new_tensor(x)
+        y = b / unit if hasattr(b, "detach") else like.new_tensor(y)
     parts = [
         norm(x[rows] - y[columns], internal, -1),
         *(half * (each[some, 1] - each[some, 0]) for each, some in zip((x, y), left, strict=True)),
         abs(x[by_birth[0], 0] - y[by_birth[1], 0]),
     ]
-    distance = norm(torch.cat(parts) if tensors else np.concatenate(parts), order) * unit
-    return distance if tensors else float(distance)
+    if like is not None:
+        return norm(torch.cat(parts), order) * unit
+    return float(norm(np.concatenate(parts), order)) * unit
 
 
 def persistence_image(
@@ -253,18 +254,21 @@ def _finite(bars: Any) -> tuple[Any, Any, np.ndarray]:
 
 def _range(values: np.ndarray) -> tuple[float, float]:
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-    return (low, high) if low < high else (low - 0.5, high + 0.5)
+    half = max(0.5, 1e-9 * abs(low))
+    return (low, high) if low < high else (low - half, high + half)
 
 
 def plot_diagram(diagrams: Any, axes: Any = None) -> Any:
     """Draw diagrams, one colour a dimension, and return the matplotlib axes.
 
     diagrams: what `alpha_persistence` or `alpha_diagrams` returns, or arrays (k,2), one for each dimension.
-    Bars that never die lie on a dashed line on top.
+    Bars that never die lie on a dashed line on top. Raises InputError for a single diagram and no bars.
     """
     import matplotlib.pyplot as plt
 
     axes = plt.gca() if axes is None else axes
+    if not hasattr(diagrams, "__iter__"):
+        raise InputError(f"a {type(diagrams).__name__} is no list; give a list of diagrams, one a dimension")
     arrays = [_bars(each) for each in diagrams]
     finite = np.concatenate([each[np.isfinite(each)] for each in arrays] + [np.zeros(1)])
     low, high = _range(np.array([finite.min(), finite.max()]))

@@ -15,6 +15,7 @@ has length 0.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial, reduce
 
 import numpy as np
 
@@ -119,14 +120,12 @@ class Formula:
     def __init__(self, vectors: int) -> None:
         """Begin with `vectors` difference vectors as inputs; vector i has the registers 3i, 3i+1, 3i+2."""
         self.inputs = [(3 * i, 3 * i + 1, 3 * i + 2) for i in range(vectors)]
-        self.registers = 3 * vectors
         self.rows: list[tuple[int, int, int, int]] = []
 
     def step(self, operation: int, i: int, j: int) -> int:
         """Record `i operation j` and return its register."""
-        self.rows.append((operation, i, j, self.registers))
-        self.registers += 1
-        return self.registers - 1
+        self.rows.append((operation, i, j, 3 * len(self.inputs) + len(self.rows)))
+        return self.rows[-1][3]
 
     def minor(self, a: int, b: int, c: int, d: int) -> int:
         """Record a b - c d and return its register."""
@@ -142,10 +141,7 @@ class Formula:
 
     def total(self, *terms: int) -> int:
         """Record the sum of registers and return its register."""
-        register = terms[0]
-        for term in terms[1:]:
-            register = self.step(ADD, register, term)
-        return register
+        return reduce(partial(self.step, ADD), terms)
 
     def dot(self, u: tuple, v: tuple) -> int:
         """Record the dot product of two vectors and return its register."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import wraps
@@ -50,19 +50,14 @@ def is_batch(points: Any) -> bool:
     return getattr(points, "ndim", 0) == 3
 
 
-def in_threads(work: Callable, clouds: Iterable) -> Any:
-    """Return [work(cloud) for each cloud], one thread for each core: the kernels hold no lock."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(work, clouds))
-
-
 def of_each(function: Callable) -> Any:
     """Return the function of one cloud as a function of a cloud, or of several: then a list, in threads."""
 
     @wraps(function)
     def call(points: Any, *arguments: Any, **options: Any) -> Any:
         if is_batch(points):
-            return in_threads(lambda cloud: function(cloud, *arguments, **options), points)
+            with ThreadPoolExecutor(os.cpu_count()) as pool:  # the kernels hold no lock
+                return list(pool.map(lambda cloud: function(cloud, *arguments, **options), points))
         return function(points, *arguments, **options)
 
     return call
@@ -129,11 +124,8 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 
 
 def check_points(points: Any) -> np.ndarray:
-    """Return `points` as a contiguous (n, 3) or (n, 2) float64 array, a tensor without its gradient.
-
-    Raises InputError for another shape, other kinds of values, or coordinates that are not finite or larger
-    than LARGEST.
-    """
+    """Return `points` as a contiguous (n, 3) or (n, 2) float64 array, a tensor without its gradient; raise
+    InputError for another shape, other values, or coordinates that are not finite or beyond LARGEST."""
     advice = "give an (n, 3) or (n, 2) array of real numbers"
     points = as_numbers(points, "the points", advice)
     points = np.zeros((0, 3)) if points.shape == (0,) else points
@@ -198,8 +190,7 @@ def gudhi_persistence(
 ) -> tuple[Pairs, ...]:
     """Return what fast_persistence does, by gudhi's alpha complex and its pairs over Z/2.
 
-    precision: gudhi's, "safe" or "exact"; predicates are exact in both, `safe` radii to 1e-5 relative at
-    worst (nearly flat tetrahedra); the fast path's agree with `exact` to 1e-9 there as well.
+    precision: "safe" or "exact"; `safe` radii are right to 1e-5 relative at worst (nearly flat tetrahedra).
     """
     import gudhi  # the oracle: only when asked for
 
@@ -207,7 +198,8 @@ def gudhi_persistence(
 
     begin = _stages(clock)
     begin("delaunay")
-    complex_ = gudhi.AlphaComplex(points=points, precision=precision)
+    exponent = int(np.frexp(np.abs(points).max(initial=0.0))[1])  # gudhi's squares would leave float64
+    complex_ = gudhi.AlphaComplex(points=np.ldexp(points, -exponent), precision=precision)
     begin("filtration")
     tree = complex_.create_simplex_tree()
     begin("reduction")
@@ -226,7 +218,7 @@ def gudhi_persistence(
         keep = lasting(*ends)
         corners = (np.array(simplices[i], np.int32).reshape(-1, dimension + 1 + i)[keep] for i in (0, 1))
         bars = ends[0][keep], ends[1][keep], *(named(each, called) for each in corners)
-        found.append(_pairs(bars, 0, squared))
+        found.append(_pairs(bars, exponent, squared))
     begin("")
     return tuple(found)
 
@@ -240,10 +232,8 @@ class Filtration:
     lengths: np.ndarray  # (e,) float64: of the edges
 
     def simplex_tree(self) -> Any:
-        """Return the complex as a gudhi.SimplexTree with SQUARED radii, as gudhi's AlphaComplex makes it.
-
-        Raises InputError for squares beyond the range of float64.
-        """
+        """Return the complex as gudhi makes it, a gudhi.SimplexTree with SQUARED radii (InputError where
+        these leave the range of float64)."""
         import gudhi
 
         tree = gudhi.SimplexTree()
@@ -324,12 +314,8 @@ def _with_the_first_component(pairs: Pairs, points: np.ndarray) -> Pairs:
         started = {point.tobytes() for point in points[born] + 0.0}
         left = np.array([row for row in left if (points[row] + 0.0).tobytes() not in started])
     first = left[:1, None]
-    return Pairs(
-        np.append(pairs.births, np.zeros(len(first))),
-        np.append(pairs.deaths, np.full(len(first), np.inf)),
-        np.vstack([pairs.birth_simplices, first]),
-        np.vstack([pairs.death_simplices, np.full((len(first), 2), NOBODY)]),
-    )
+    bar = np.zeros(len(first)), np.full(len(first), np.inf), first, np.full((len(first), 2), NOBODY)
+    return Pairs(*(np.concatenate(each) for each in zip(vars(pairs).values(), bar, strict=True)))
 
 
 def _ended(pairs: Pairs, infinite: bool, limit: float) -> Pairs:

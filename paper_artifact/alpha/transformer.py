@@ -8,7 +8,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from paper_artifact.alpha.persistence import alpha_persistence, check_points, in_threads, is_batch
+from paper_artifact.alpha.persistence import Pairs, alpha_persistence, check_points, is_batch
 from paper_artifact.errors import InputError, whole
 
 
@@ -35,8 +35,7 @@ class AlphaTransformer(TransformerMixin, BaseEstimator):
     def transform(self, X: Any) -> np.ndarray:
         """Return the longest lifetimes of every cloud of X. Raises InputError for what is no cloud."""
         check_is_fitted(self)
-        clouds = self._clouds(X, reset=False)
-        return np.stack(in_threads(self._row, clouds))
+        return np.stack([self._row(bars) for bars in alpha_persistence(self._clouds(X, reset=False))])
 
     def _clouds(self, X: Any, reset: bool) -> Any:
         for name in ("longest", "delay"):
@@ -49,9 +48,9 @@ class AlphaTransformer(TransformerMixin, BaseEstimator):
         table = validate_data(self, X, reset=reset, dtype=np.float64)
         return np.stack([np.roll(table, -k * self.delay, axis=1) for k in range(3)], axis=-1)
 
-    def _row(self, cloud: Any) -> np.ndarray:
+    def _row(self, bars: tuple[Pairs, ...]) -> np.ndarray:
         row = []
-        for pairs in alpha_persistence(cloud):
+        for pairs in bars:
             lives = np.sort(pairs.deaths - pairs.births)[::-1][: self.longest]
             row.append(np.pad(lives, (0, self.longest - len(lives))))
         return np.concatenate(row)

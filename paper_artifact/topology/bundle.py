@@ -23,6 +23,7 @@ from paper_artifact.randomness import stream
 from paper_artifact.sampling import check_arrays, sample_surface
 from paper_artifact.topology.floor import (
     MULTIPLIER,
+    check_diagonal,
     diagonal_of,
     in_diagonals,
     measurement_floor,
@@ -105,6 +106,7 @@ def build_bundle(
     has, or for bad points.
     """
     points, seed = np.ascontiguousarray(space_points(points, 2, "a bundle")), whole("seed", seed)
+    diagonal = check_diagonal(diagonal)
     floor = measurement_floor(points, diagonal, k)
     bars, reasons, found = [], [], []
     cloud = in_diagonals(points, diagonal)
@@ -142,7 +144,7 @@ def build_bundle(
         seed=seed,
         floor=floor,
         floor_multiplier=float(k),
-        diagonal=float(diagonal),
+        diagonal=diagonal,
         shape=shape,
         source=source or fingerprint(points),
     )

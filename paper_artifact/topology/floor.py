@@ -73,26 +73,29 @@ def median_spacing(points: np.ndarray) -> float:
     return float(np.median(distances[:, 1])) * unit
 
 
-def check_diagonal(diagonal: float) -> None:
-    """Raise InputError unless `diagonal` (world units) is a positive, finite length."""
+def check_diagonal(diagonal: float) -> float:
+    """Return `diagonal` (world units) as a float; raise InputError unless it is a positive, finite length."""
     if not 0 < real(diagonal) < np.inf:
         raise InputError(
             f"the diagonal must be a positive length, got {diagonal!r:.60}; "
             "use the ground truth's bounding-box diagonal"
         )
+    return float(diagonal)
 
 
 def measurement_floor(points: np.ndarray, diagonal: float, k: float = MULTIPLIER) -> float:
     """Return the floor k·r_med/diagonal: lifetimes (radius / diagonal) above it are significant.
 
     points (n,3) float, world units; diagonal: the ground truth's bounding-box diagonal, same unit; k = 6 in
-    the paper. Raises InputError for fewer than two points, a coordinate that is not finite, or a diagonal
-    or k that is not positive.
+    the paper. Raises InputError for fewer than two points, a coordinate that is not finite, a diagonal or k
+    that is not positive, and points of which most repeat others.
     """
-    check_diagonal(diagonal)
     if not 0 < real(k) < np.inf:
         raise InputError(f"k is {k!r:.60}; give a positive number, {MULTIPLIER:g} in the paper")
-    return k * median_spacing(points) / float(diagonal)
+    floor = float(k) * median_spacing(points) / check_diagonal(diagonal)
+    if not floor > 0:
+        raise InputError("most points repeat others, so that their median spacing is 0; give each point once")
+    return floor
 
 
 def uniform_spacing(area: float, count: int) -> float:

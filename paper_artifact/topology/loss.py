@@ -47,6 +47,7 @@ from paper_artifact.topology.floor import (
     MULTIPLIER,
     Frame,
     check_cloud,
+    check_diagonal,
     diagonal_of,
     measurement_floor,
     median_spacing,
@@ -205,7 +206,7 @@ class BettiLoss(PlannedLoss):
         if self.config.aim == "cloud":
             raise InputError("aim='cloud' needs a scene's SfM cloud (condition T3); choose another aim")
         self.betti = self.config.betti or ()
-        self.statement = None if diagonal is None else Statement(self.betti, diagonal)
+        self.statement = None if diagonal is None else Statement(self.betti, check_diagonal(diagonal))
         self._warned = False
 
     def frame(self, points: np.ndarray) -> Statement:

@@ -28,7 +28,7 @@ from paper_artifact.alpha.radii import passes_gate, radius_and_gradient
 from paper_artifact.arithmetic import spreads, symmetric_eigen
 from paper_artifact.config import LossConfig
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.floor import measurement_floor, significant
+from paper_artifact.topology.floor import measurement_floor, significant, space_points
 from paper_artifact.topology.matching import match_bars, recruit
 
 KINDS = ("matched", "recruited", "diagonal")
@@ -219,9 +219,10 @@ def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig | None = No
     """Return the plan of a live `cloud` (M,3) float64, divided by the bundle's diagonal.
 
     Persistence, matching, recruitment, gate; only the bundle's dimensions enter. config: None is the paper's.
-    Raises what `alpha_persistence` raises for its points.
+    Raises InputError as `measurement_floor` and `alpha_persistence` do for its points.
     """
     config = LossConfig() if config is None else config
+    cloud = space_points(cloud, 4, "a plan")
     live_floor = measurement_floor(cloud, 1.0, bundle.floor_multiplier)
     floor = bundle.floor if config.floor_source == "bundle" else live_floor
 
