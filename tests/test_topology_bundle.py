@@ -42,9 +42,7 @@ def test_bundle_refuses_empty_dimensions_and_names_them():
     with pytest.raises(InputError, match="no dimension to act in"):
         build_bundle(sphere(0), 3.46, dimensions=())
     numbers = {"k": np.float32(6), "seed": np.int64(3), "dimensions": np.int64(2)}
-    both = build_bundle(
-        sphere(0), np.float32(3.46), dimensions=np.int64(2), suppress=np.array([1]), **numbers
-    )
+    both = build_bundle(sphere(0), np.float32(3.46), suppress=np.array([1]), **numbers)
     assert json.loads(json.dumps(both.to_json()))["dimensions"] == [1, 2]
     assert both.dimensions == (1, 2) and both.reasons[1].startswith("suppressed on purpose")
 
