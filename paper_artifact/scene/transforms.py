@@ -41,18 +41,8 @@ ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")  # tried after a frame'
 LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # of camera_model
 # Where one of these is not zero, rays run in a way that is not read.
 OTHER_LENSES = (
-    "is_fisheye",
-    "fisheye",
-    "is_latlong",
-    "latlong",
-    "equirectangular",
-    "is_equirectangular",
-    "orthographic",
-    "ftheta_p0",
-    "rolling_shutter",
-    "k4",
-    "k5",
-    "k6",
+    *("is_fisheye", "fisheye", "is_latlong", "latlong", "equirectangular", "is_equirectangular"),
+    *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6"),
 )
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
@@ -137,7 +127,7 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
         raise
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; give a transforms.json") from error
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{file} is damaged or no transforms.json ({error}); export it again") from error
 
 
@@ -232,6 +222,9 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     with opened(path, path) as image:
         width, height = image.size
     values = {key: float(both[key]) for key in INTRINSICS if both.get(key) is not None}
+    for key, value in values.items():
+        if not np.isfinite(value) or isinstance(both[key], bool) or (key in ("w", "h") and value <= 0):
+            raise InputError(f"{file}: {key} of {name} is {both[key]}, which cannot be; export it again")
     across = width / values["w"] if values.get("w") else 1.0
     down = height / values["h"] if values.get("h") else across
     if values.get("w") and values.get("h") and abs(down / across - 1) > max(0.01, 2 / min(width, height)):
@@ -248,7 +241,7 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     ) or _focal(values, width, height, across, down)
     if focal is None:
         raise InputError(
-            f"{file} has no focal length of {name} (fl_x, fl_y, camera_angle_x or camera_angle_y); "
+            f"{file} has no focal length above 0 of {name} (fl_x, fl_y, camera_angle_x or camera_angle_y); "
             "export it again"
         )
     rotation = np.array([[1.0], [-1.0], [-1.0]]) * axes.T  # y up, z backward → y down, z forward
@@ -299,7 +292,7 @@ def _focal(
 def _of_angle(angle: float | None, side: int) -> float:
     if angle is None or not 0 < angle < np.pi:
         return 0.0
-    return side / 2 * float(arithmetic.cos(angle / 2) / arithmetic.sin(angle / 2))
+    return side / 2 * float(arithmetic.cos(angle / 2)) / max(float(arithmetic.sin(angle / 2)), 1e-300)
 
 
 def _picture(view: View) -> Image.Image:
