@@ -147,7 +147,8 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     if not data.strip():
         raise InputError(f"{path} is empty; give a mesh file with vertices and faces")
     try:
-        parts = read_gltf(path, data) if kind in ("glb", "gltf") else [READERS[kind](data)]
+        with np.errstate(over="ignore", invalid="ignore"):  # `checked_mesh` refuses what comes of it
+            parts = read_gltf(path, data) if kind in ("glb", "gltf") else [READERS[kind](data)]
     except InputError as error:
         raise InputError(f"{path} is not read: {error}") from error
     except MemoryError as error:

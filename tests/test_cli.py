@@ -185,6 +185,15 @@ def test_next_commands_survive_copy_and_paste(name):
     assert shlex.split(line)[1:] == ["python", "-m", "paper_artifact", "export", name]
 
 
+def test_warnings_are_one_line_and_those_of_numbers_none(tmp_path):
+    code = (
+        "import numpy as np, warnings; from paper_artifact.cli.output import prepare_streams as p; p();"
+        "np.array([1e308]) * 10; warnings.warn('a word')"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stderr == "warning: a word\n"
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1"])
 def test_terminals_that_lack_a_sign_get_plain_letters(encoding):
     code = (

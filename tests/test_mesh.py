@@ -92,3 +92,17 @@ def test_arrays_are_checked_like_files():
         with pytest.raises(InputError, match=words):
             checked_mesh(vertices, faces, "soup")
     assert checked_mesh(square.tolist(), [[0.0, 1.0, 2.0]], "soup").faces.tolist() == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("scale", ["[1e400, 1, 1]", "[1e308, 1, 1]"])
+def test_numbers_beyond_double_precision_are_refused_without_a_warning(tmp_path, scale):
+    file = tmp_path / "big.gltf"
+    text = trimesh.Scene(box()).export(file_type="gltf")
+    for name, content in text.items():
+        (tmp_path / name).write_bytes(content)
+    document = (tmp_path / "model.gltf").read_text()
+    file.write_text(
+        document.replace('"nodes":[{', f'"nodes":[{{"scale":{scale},', 1).replace('"matrix"', '"none"')
+    )
+    with pytest.raises(InputError, match="NaN or infinite coordinates|too much or too little for areas"):
+        load_mesh(file)

@@ -113,9 +113,9 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
         ({"k1": -9}, "undistort"),
         ({"camera_angle_x": 0}, "no focal length above 0 of"),
         ({"camera_angle_x": 1e-320}, "are none of a camera of 60 pixels"),
-        ({"w": "1e999", "h": "1e999"}, "w of train/r_0 is 1e999, which cannot be"),
-        ({"w": -60, "h": -60}, "w of train/r_0 is -60, which cannot be"),
-        ({"cy": True}, "cy of train/r_0 is True, which cannot be"),
+        ({"w": "1e999", "h": "1e999"}, "w of ./train/r_0 is 1e999, which cannot be"),
+        ({"w": -60, "h": -60}, "w of ./train/r_0 is -60, which cannot be"),
+        ({"cy": True}, "cy of ./train/r_0 is True, which cannot be"),
         ({"frames": []}, "0 frames"),
         ({"frames": 3}, "damaged or no transforms.json"),
         (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,7 +21,9 @@ PLAIN = {
 def prepare_streams() -> None:
     """Make stdout and stderr take every text: a closed one takes it to nowhere, one of another encoding
     than UTF-8 gets plain letters for the signs that it lacks. Control characters, as the escape sequences
-    that a file's name may hold, are shown as \\u001b, all but tab, line feed and a bar's carriage return."""
+    that a file's name may hold, are shown as \\u001b, all but tab, line feed and a bar's carriage return.
+    A warning is one line; numpy's, of numbers that are refused or masked afterwards, are not shown."""
+    warnings.formatwarning = _one_line
     codecs.register_error("plain", _plain)
     for name in ("stdout", "stderr"):
         stream: Any = getattr(sys, name)
@@ -29,6 +32,12 @@ def prepare_streams() -> None:
         elif hasattr(stream, "reconfigure") and "write" not in vars(stream):
             stream.reconfigure(errors="plain")
             stream.write = _shown_plainly(stream.write)
+
+
+def _one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    return "" if issubclass(category, RuntimeWarning) else f"warning: {message}\n"
 
 
 def _shown_plainly(write: Callable[[str], int]) -> Callable[[str], int]:

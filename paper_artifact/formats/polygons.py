@@ -344,12 +344,11 @@ def triangulated(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> 
 def _overlapping(points: np.ndarray, polygons: np.ndarray) -> np.ndarray:
     """Return of which polygons (n,k) the fan from the first corner has triangles wound the other way."""
     arms = points[polygons[:, 1:]] - points[polygons[:, :1]]
-    with np.errstate(over="ignore", invalid="ignore"):
-        areas = np.cross(arms[:, :-1], arms[:, 1:])  # (n,k-2,3), twice the vector area of each triangle
-        normal = areas.sum(axis=1)
-        signed, whole_area = np.einsum("nki,ni->nk", areas, normal), (normal * normal).sum(axis=1)
-        crossed = whole_area <= FLAT**2 * (areas * areas).sum(axis=(1, 2))
-        return (signed < -FLAT * whole_area[:, None]).any(axis=1) | (crossed & (areas != 0).any(axis=(1, 2)))
+    areas = np.cross(arms[:, :-1], arms[:, 1:])  # (n,k-2,3), twice the vector area of each triangle
+    normal = areas.sum(axis=1)
+    signed, whole_area = np.einsum("nki,ni->nk", areas, normal), (normal * normal).sum(axis=1)
+    crossed = whole_area <= FLAT**2 * (areas * areas).sum(axis=(1, 2))
+    return (signed < -FLAT * whole_area[:, None]).any(axis=1) | (crossed & (areas != 0).any(axis=(1, 2)))
 
 
 def _ears(corners: np.ndarray) -> np.ndarray:
