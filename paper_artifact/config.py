@@ -26,6 +26,8 @@ DEVICES = ("cpu", "cuda", "auto")  # of training
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 STEPS_OF_THE_STUDY = 2500
 LEAST_SIDE = 22  # pixels of an image: the SSIM window is 11, resampling works at half size
+# The largest values that a setting may have: none overflows, and what needs memory asks for it first.
+MOST, MOST_SAMPLES, MOST_STEPS, LAST_SEED = 1e6, 10**9, 10**9, 2**63 - 1
 DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500)  # of these steps
 
 
@@ -56,7 +58,7 @@ def _check_ranges(config: Any) -> None:
             and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
         ):
             unit = f" {about['unit']}" if "unit" in about else ""
-            raise InputError(f"{each.name} must be {limits(about)}{unit}, got {value}")
+            raise InputError(f"{each.name} must be {limits(about)}{unit}, got {_brief(value)}")
 
 
 @dataclass(frozen=True)
@@ -73,20 +75,31 @@ class LossConfig:
         choices=("topology", "repulsion", "betti"),
     )
     rho: float = _setting(
-        0.1, "norm of the topology gradient ÷ photometric one, at the first active step (§3.4)", above=0
+        0.1,
+        "norm of the topology gradient ÷ photometric one, at the first active step (§3.4)",
+        above=0,
+        high=MOST,
     )
     ramp: tuple[float, float] | None = _setting(
         (0.2, 0.5), "fractions of the run between which the weight grows"
     )
     recruitment: bool = _setting(True, "missing targets claim the nearest free bar (L_recruit)")
     noise: float = _setting(0.0, "standard deviation of the noise that only the plan sees (C7)", 0, high=1)
-    repulsion_radius: float = _setting(4.0, "reach of the control, in median spacings of the target", above=0)
+    repulsion_radius: float = _setting(
+        4.0, "reach of the control, in median spacings of the target", above=0, high=MOST
+    )
     curvature_weighted: bool = _setting(False, "weigh each bar by the curvature at its samples (C4)")
-    samples: int = _setting(2048, f"M, points of live cloud and target bundle; 0 is {AUTO!r}", 0)
+    samples: int = _setting(
+        2048, f"M, points of live cloud and target bundle; 0 is {AUTO!r}", 0, high=MOST_SAMPLES
+    )
     dimensions: tuple[int, ...] | None = _setting(None, "where the loss acts; None: where targets are")
-    bundle_seed: int = _setting(0, "seed of the target bundle's samples", 0)
-    calibration_batches: int = _setting(1, "batches whose gradient norms set the weight; paper: one", 1)
-    refresh_every: int = _setting(10, "K, steps between two plans; 0: on demand (`TopologyLoss`)", 0)
+    bundle_seed: int = _setting(0, "seed of the target bundle's samples", 0, high=LAST_SEED)
+    calibration_batches: int = _setting(
+        1, "batches whose gradient norms set the weight; paper: one", 1, high=10_000
+    )
+    refresh_every: int = _setting(
+        10, "K, steps between two plans; 0: on demand (`TopologyLoss`)", 0, high=MOST_STEPS
+    )
     floor_source: str = _setting(
         "bundle", "whose 6 r_med a significant live bar exceeds", choices=("bundle", "live")
     )
@@ -96,7 +109,7 @@ class LossConfig:
     method: str = _setting("fast", "of alpha persistence", choices=("fast", "gudhi"))
     # Of the kind "betti" alone.
     betti: tuple[int, ...] | None = _setting(None, "b0, b1, b2 (components, loops, voids) that samples show")
-    guard: float = _setting(0.5, "a wanted bar is longer than this fraction of the live floor", 0)
+    guard: float = _setting(0.5, "a wanted bar is longer than this fraction of the live floor", 0, high=MOST)
     suppress: str = _setting(
         "floor",
         "other bars that are pushed to the diagonal: above the floor; all of H1, H2; none",
@@ -108,7 +121,7 @@ class LossConfig:
         choices=("deaths", "smoothed", "cloud", "births", "none"),
     )
     pull: float = _setting(
-        2.0, "target of a wanted death beyond itself, in live median spacings", 0, high=1e6
+        2.0, "target of a wanted death beyond itself, in live median spacings", 0, high=MOST
     )
 
     def __post_init__(self) -> None:
@@ -142,16 +155,18 @@ class AllocationConfig:
     centres: str = _setting(
         "topological", "birth and death vertices, or drawn per seed", choices=("topological", "random")
     )
-    spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", above=0)
+    spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", above=0, high=MOST)
     levers: str = _setting(
         "resampling",
         "protect and respawn (B2–B5), or the first triangles (B1)",
         choices=("resampling", "start"),
     )
-    protection: float = _setting(1.0, "λ of the prune order: pixels + λ · Q.9(pixels) · importance", 0)
+    protection: float = _setting(
+        1.0, "λ of the prune order: pixels + λ · Q.9(pixels) · importance", 0, high=MOST
+    )
     subdivided: float = _setting(0.1, "share of the budget that a resampling subdivides", 0, high=1)
-    samples: int = _setting(2048, "M, points of the bundle that makes the field", 4)
-    bundle_seed: int = _setting(0, "seed of that bundle's samples", 0)
+    samples: int = _setting(2048, "M, points of the bundle that makes the field", 4, high=MOST_SAMPLES)
+    bundle_seed: int = _setting(0, "seed of that bundle's samples", 0, high=LAST_SEED)
 
     def __post_init__(self) -> None:
         _check_ranges(self)
@@ -163,7 +178,9 @@ class GivenConfig:
 
     digest: str = _setting("", "sha256 of the mesh's geometry or the scene's files")
     target: str | None = _setting(None, "of a scene: mesh or bundle.json, in a record its sha256")
-    downscale: float = _setting(1.0, "of a scene: each photograph is made smaller by this factor", 1)
+    downscale: float = _setting(
+        1.0, "of a scene: each photograph is made smaller by this factor", 1, high=10_000
+    )
     background: str | None = _setting(None, "of a scene, see `scene.load.load_scene`")
     holdout: str | None = _setting(None, "of a scene, see `scene.load.held_out`")
 
@@ -177,15 +194,15 @@ class RunConfig:
 
     shape: str = field(metadata={"help": "a name of the study, a mesh file or a scene's folder"})
     condition: str = _setting("C0", "a tag of `paper_artifact.catalogue`; `loss` holds what it means")
-    seed: int = _setting(0, "of everything random", 0, high=2**63 - 1)
-    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1, high=10**9)
-    budget: int = _setting(1200, "triangles kept by pruning (N)", 1)
+    seed: int = _setting(0, "of everything random", 0, high=LAST_SEED)
+    steps: int = _setting(STEPS_OF_THE_STUDY, "training steps", 1, high=MOST_STEPS)
+    budget: int = _setting(1200, "triangles kept by pruning (N)", 1, high=10**7)
     views: int = _setting(48, "rendered around the mesh, every 8th held out", 2, high=10_000)
     size: int = _setting(200, "side of a view", LEAST_SIDE, high=8192, unit="pixels")
     background: str = _setting(
         "white", "of the views; a texture is infinitely far away", choices=("white", "black", "texture")
     )
-    batch: int = _setting(4, "views per step", 1)
+    batch: int = _setting(4, "views per step", 1, high=10_000)
     vertex_lr: float = _setting(
         1e-2, "learning rate of vertices, / scene radius; of photographs: / `Scene.units`", above=0, high=1
     )
@@ -193,12 +210,12 @@ class RunConfig:
     opacity_lr: float = _setting(5e-2, "learning rate of the opacity logits", above=0, high=100)
     mlp_lr: float = _setting(1e-2, "learning rate of the shading MLP", above=0, high=100)
     final_lr: float = _setting(0.01, "every learning rate decays to this fraction", above=0, high=1)
-    initial_ratio: float = _setting(7.5, "initial triangles ÷ budget", above=0)
-    resample_every: int = _setting(100, "steps between two resamplings", 1)
-    split_views: int = _setting(20, "views in which long edges are split", 0)
-    split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", 1e-4)
+    initial_ratio: float = _setting(7.5, "initial triangles ÷ budget", above=0, high=10_000)
+    resample_every: int = _setting(100, "steps between two resamplings", 1, high=MOST_STEPS)
+    split_views: int = _setting(20, "views in which long edges are split", 0, high=10_000)
+    split_height: float = _setting(0.2, "longest edge that is not split, ÷ image height", 1e-4, high=10_000)
     dump_steps: tuple[int, ...] = _setting(DUMP_STEPS, "evaluated steps")
-    samples: int = _setting(20_000, "surface samples of an evaluation", 4)
+    samples: int = _setting(20_000, "surface samples of an evaluation", 4, high=MOST_SAMPLES)
     # What a scene of photographs does to training views and start (`paper_artifact.scene.build`); held-out
     # views and the truth of the evaluation stay clean. D is the mesh's diagonal.
     image_noise: float = _setting(0.0, "standard deviation per pixel and channel, of 1", 0, below=1.0)

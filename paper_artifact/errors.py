@@ -93,7 +93,7 @@ def _available_memory() -> float:
 
 def require_memory(size: float, what: str, advice: str) -> None:
     """Raise InputError when `what` takes at least `size` bytes and fewer are available."""
-    available = _available_memory()
+    available, size = _available_memory(), min(size, 1e300)  # beyond what a float holds, too
     if size > available:
         raise InputError(
             f"{what} takes at least {size / 2**30:.3g} GiB of memory, {available / 2**30:.3g} GiB are "

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from paper_artifact.config import LEAST_SIDE, NOISES, AllocationConfig, GivenConfig, RunConfig
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
 from paper_artifact.evaluate.diagram import require_memory_for
 from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import (
@@ -126,6 +126,8 @@ def make_run_allocation(
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     """Build the run's scene under `root`, or take the one that is there, and load it. Seeds share a scene."""
+    size = 3 * config.views * config.size**2
+    require_memory(size, f"{config.views} views of {config.size} pixels a side", "give fewer or smaller ones")
     perturbation = Perturbation(**{name: getattr(config, name) for name in NOISES})
     scene_config = SceneConfig(
         views=config.views, size=config.size, background=config.background, perturbation=perturbation
@@ -366,11 +368,8 @@ def _holdout_section(soup: Soup, scene: Scene) -> dict:
     if not len(scene.holdout):
         return {"holdout_views": 0}
     scores = view_scores(soup, scene, scene.holdout)
-    return {
-        "psnr": round(scores["psnr"], 4),
-        "ssim": round(scores["ssim"], 6),
-        "holdout_views": len(scene.holdout),
-    }
+    numbers = {"psnr": round(scores["psnr"], 4), "ssim": round(scores["ssim"], 6)}
+    return numbers | {"holdout_views": len(scene.holdout)}
 
 
 def _mesh_section(mesh: Mesh, target: Target) -> dict:

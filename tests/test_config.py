@@ -4,12 +4,15 @@ alone."""
 from __future__ import annotations
 
 from dataclasses import fields, make_dataclass, replace
+from typing import get_type_hints
 
 import pytest
 
 from paper_artifact import catalogue, config
 from paper_artifact.catalogue import CONDITIONS, SHAPES, Condition, get_condition, shape_row, study_config
 from paper_artifact.config import (
+    AllocationConfig,
+    GivenConfig,
     LossConfig,
     RunConfig,
     config_from,
@@ -18,7 +21,8 @@ from paper_artifact.config import (
     parse_changes,
     with_changes,
 )
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
+from paper_artifact.pipeline import run
 from paper_artifact.record.store import config_hash
 
 
@@ -33,7 +37,7 @@ from paper_artifact.record.store import config_hash
         ({"size": 21}, "at least 22 and at most 8192 pixels"),
         ({"vertex_lr": 0.0}, "vertex_lr must be positive and at most 1, got 0.0"),
         ({"opacity_lr": 1e38}, r"opacity_lr must be positive and at most 100, got 1e\+38"),
-        ({"split_height": 1e-9}, "split_height must be at least 0.0001, got 1e-09"),
+        ({"split_height": 1e-9}, "split_height must be at least 0.0001 and at most 10000, got 1e-09"),
         ({"final_lr": 2.0}, "final_lr must be positive and at most 1"),
         ({"vertex_lr": "fast"}, "vertex_lr takes a value of kind float, got 'fast'"),
         ({"views": 1}, "views must be at least 2"),
@@ -78,6 +82,27 @@ from paper_artifact.record.store import config_hash
 def test_a_configuration_out_of_range_is_refused(changes, words):
     with pytest.raises(InputError, match=words):
         study_config("sphere", **({"condition": "C1"} | changes))
+
+
+@pytest.mark.parametrize("kind", [RunConfig, LossConfig, AllocationConfig, GivenConfig])
+def test_every_number_has_a_largest_value(kind):
+    for name, each in get_type_hints(kind).items():
+        if each in (int, float):
+            beyond = 10**400 if each is int else 1e308
+            with pytest.raises(InputError, match=f"^{name} must be .*(at most|below) .*, got 1[0e]"):
+                kind(**{"shape": "sphere"} if kind is RunConfig else {}, **{name: beyond})
+
+
+def test_the_largest_values_ask_for_memory_before_anything_runs(tmp_path):
+    most = {"views": 10_000, "size": 8192, "budget": 10**7, "initial_ratio": 10_000, "batch": 10_000}
+    for changes, words in (
+        (most, "10000 views of 8192 pixels a side"),
+        ({"samples": 10**9}, "1000000000 samples"),
+    ):
+        with pytest.raises(InputError, match=f"{words} takes? at least .* GiB of memory"):
+            run(study_config("sphere", **changes), results=tmp_path)
+    with pytest.raises(InputError, match="takes at least .* GiB of memory"):
+        require_memory(10**400, "it", "give less")
 
 
 def test_defaults_are_the_papers():
