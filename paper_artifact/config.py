@@ -155,7 +155,7 @@ class AllocationConfig:
     centres: str = _setting(
         "topological", "birth and death vertices, or drawn per seed", choices=("topological", "random")
     )
-    spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", above=0, high=MOST)
+    spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", 1e-6, high=MOST)
     levers: str = _setting(
         "resampling",
         "protect and respawn (B2–B5), or the first triangles (B1)",

@@ -73,7 +73,7 @@ from paper_artifact.record.store import config_hash
             "unknown suppress 'most'; choose one of floor, all",
         ),
         ({"allocation": {"spread": 2.0}}, "condition C1 has no allocation"),
-        ({"condition": "B2", "allocation": {"spread": 0.0}}, "spread must be positive"),
+        ({"condition": "B2", "allocation": {"spread": 0.0}}, "spread must be at least 1e-06"),
         ({"condition": "B2", "allocation": {"subdivided": 1.5}}, "must be at least 0 and at most 1"),
         ({"condition": "B2", "allocation": {"protection": -1.0}}, "protection must be at least 0"),
         ({"condition": "B2", "allocation": {"centres": "none"}}, "unknown centres 'none'"),
