@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 import operator
 import os
+import re
 import shlex
 from pathlib import Path
 from typing import Any
 
 # Control characters but tab and line feed, as terminals show them and as bash reads them in $'…'.
 CONTROL = {code: f"\\u{code:04x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
+
+
+FLAG = re.compile(r"--[a-z-]+")  # an option of this program, as its next commands have it
 
 
 class InputError(ValueError):
@@ -102,8 +106,11 @@ def require_memory(size: float, what: str, advice: str) -> None:
 
 
 def quoted(word: object) -> str:
-    """Return a word as bash and zsh read it; one with control characters as $'…', with these escaped."""
+    """Return a word as bash and zsh read it; one with control characters as $'…', with these escaped. A
+    file's name that begins with a dash is given as ./-x, which no program takes for an option."""
     text = str(word)
+    if text.startswith("-") and not FLAG.fullmatch(text):
+        text = f"./{text}"
     if not any(ord(each) in CONTROL for each in text):
         return shlex.quote(text)
     return "$'" + text.replace("\\", "\\\\").replace("'", "\\'").translate(CONTROL) + "'"

@@ -31,6 +31,7 @@ SPACE = "free some space and run the same command again"
 LIMIT = "raise the file size limit (ulimit -f), or use another file system, and run the same command again"
 DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT, errno.ENOTBLK: "name a file"}
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
+LONGEST_NAMED = 150  # bytes of a name that other files are named after, of the 255 that file systems take
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
 PARTIAL = ".paper_artifact-partial-"  # what temporary folders are called, and nothing of others
 LOCK = "lock"  # the file in one that its owner has locked
@@ -310,6 +311,12 @@ def check_archive(archive: zipfile.ZipFile) -> None:
     # The size that is given binds the reader for these two only.
     if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
         raise ValueError("it is packed by a method that is not read")
+
+
+def cut_name(name: str) -> str:
+    """Return a file's name, its beginning alone where it leaves no room for what others add to it."""
+    data = os.fsencode(name)
+    return name if len(data) <= LONGEST_NAMED else data[:LONGEST_NAMED].decode("utf-8", "ignore")
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+import trimesh
 
 from paper_artifact import cli
 from paper_artifact.cli import bars, output
-from paper_artifact.cli.options import Options, Positional, Source
+from paper_artifact.cli.options import Options, Positional, Source, read_options, words_of
+from paper_artifact.config import RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
+from paper_artifact.record.store import config_hash, record_path
 
 COMMAND = [sys.executable, "-m", "paper_artifact"]
 SIZES = {"small": 1, "large": 2}
@@ -182,7 +185,47 @@ def test_a_table_sets_numbers_right_and_texts_left():
 @pytest.mark.parametrize("name", ["my soup.npz", "it's; rm -rf ~", "$HOME `id`", "-x", "a\nb", '"ε"'])
 def test_next_commands_survive_copy_and_paste(name):
     line = output.next_command("export", name)
-    assert shlex.split(line)[1:] == ["python", "-m", "paper_artifact", "export", name]
+    given = f"./{name}" if name == "-x" else name  # no program takes it for an option
+    assert shlex.split(line)[1:] == ["python", "-m", "paper_artifact", "export", given]
+
+
+@pytest.mark.parametrize("name", ["-x", "n" * 214, "ε" * 100])
+def test_proposed_commands_and_names_work_for_odd_names(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2]]).export("a.obj")
+    Path("a.obj").rename(f"{name}.obj")
+    assert cli.main(["certify", "--closed", "--", f"{name}.obj"]) == 1
+    words = shlex.split(capsys.readouterr().out.splitlines()[-1])[4:]
+    assert words[0] == "ingest" and cli.main(words) == 0 and Path(words[-1]).is_file()
+    path = record_path(RunConfig(f"{name}.obj"))
+    assert len(os.fsencode(path.name)) < 200 and path.name.endswith(
+        f"{config_hash(RunConfig(f'{name}.obj'))}.json"
+    )
+
+
+def test_the_words_of_options_give_them_again():
+    words = [
+        "sweep",
+        "torus",
+        "--seed",
+        "3",
+        "--seed",
+        "4",
+        "--set",
+        "budget=60",
+        "--set",
+        "views=8",
+        "--list",
+        "--steps",
+        "20",
+        "--holdout",
+        "a.jpg",
+    ]
+    parser, runner = cli._parser("sweep")
+    options = read_options(cli._options_of(runner), parser.parse_args(words))
+    again = ["sweep", *map(str, words_of(options))]
+    assert read_options(type(options), parser.parse_args(again)) == options and "--list" in again
+    assert "--list" not in words_of(options, "listing")
 
 
 def test_warnings_are_one_line_and_those_of_numbers_none(tmp_path):

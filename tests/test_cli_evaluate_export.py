@@ -12,6 +12,7 @@ import trimesh
 from PIL import Image
 
 from paper_artifact.cli import main
+from paper_artifact.cli.output import next_command
 from paper_artifact.config import GivenConfig, RunConfig
 from paper_artifact.record.store import make_record, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene
@@ -55,7 +56,7 @@ def test_evaluate_of_a_mesh_file(tmp_path, capsys):
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
     words = f"evaluate {tmp_path}/ball.ply --target {tmp_path}/ball.ply --samples 2000"
     assert main(words.split()) == 0
-    assert "ball" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith(f"next: python -m paper_artifact certify {tmp_path}/ball.ply\n")
 
 
 @pytest.mark.parametrize(
@@ -80,7 +81,9 @@ def test_export_writes_every_format(soup_file, tmp_path, capsys):
     assert names == [
         f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
     ]
-    assert sorted(path.rsplit("/", 1)[-1] for path in capsys.readouterr().out.split()) == names
+    *paths, following = capsys.readouterr().out.splitlines()
+    assert sorted(path.rsplit("/", 1)[-1] for path in paths) == names
+    assert following == next_command("solidify", soup_file, "--target", "sphere", "--out", "mesh.ply")
     with Image.open(out / "sphere-C0-s0.view0.png") as image:
         pixels = np.asarray(image)
     # An orange ball in the middle, the white background in the corner.
@@ -165,7 +168,9 @@ def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path,
     words = ["export", str(soup), "--scene", str(scene), "--formats", "png", "--out"]
     assert main([*words, str(tmp_path / "a")]) == 0
     told = capsys.readouterr()
-    assert "as the run was trained" in told.err and all(Path(line).is_file() for line in told.out.split())
+    *paths, following = told.out.splitlines()
+    assert "as the run was trained" in told.err and all(Path(path).is_file() for path in paths)
+    assert following == next_command("solidify", soup, "--scene", scene, "--out", "mesh.ply")
     asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
     assert main([*words, str(tmp_path / "b"), *asked]) == 0
     files = [sorted((tmp_path / each).glob("[!.]*")) for each in "ab"]

@@ -4,6 +4,7 @@ truth."""
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -209,9 +210,15 @@ def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, capsys):
     words += ["--betti=1,0,1", "--steps=2", "--set=size=32", "--set=views=8", "--set=budget=30"]
     words += ["--set=samples=64"]
     assert cli.main([*words, "--seed=0", "--seed=0"]) == 0
-    assert "2 runs done, 0 were recorded before" in capsys.readouterr().out
+    told, following = capsys.readouterr().out.splitlines()
+    assert "2 runs done, 0 were recorded before" in told
+    export, soup, *target = shlex.split(following)[4:]
+    assert export == "export" and Path(soup).is_file() and target == ["--target", "my ball.ply"]
     assert cli.main([*words, "--seed=0", "--seed=1", "--list"]) == 0
-    assert "missing: my ball.ply T3 seed 1\n2 of 4" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "missing: my ball.ply T3 seed 1\n2 of 4" in told
+    assert cli.main(shlex.split(told.splitlines()[-1])[4:]) == 0  # the command that it proposes
+    assert "2 runs done, 2 were recorded before" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

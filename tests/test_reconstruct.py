@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from fractions import Fraction
 from pathlib import Path
 
@@ -69,9 +70,17 @@ def test_one_command_from_a_video_to_a_mesh(video, tmp_path, capsys):
     assert [line.split()[0] for line in lines] == ["photographs", "training", "pictures", "next:"]
     assert "8 photographs registered" in lines[0] and "held-out PSNR" in lines[1]
     assert len(list((tmp_path / "work").glob("*.views.png"))) == 1
+    assert shlex.split(lines[-1])[4:] == [
+        *("reconstruct", str(video), "--every", str(EVERY), "--budget", "300", "--steps", "30", "--work"),
+        *(str(tmp_path / "work"), "--betti", "1,1,0", "--out", "mesh.ply"),
+    ]
     code = main([*words, f"--out={tmp_path / 'mesh.ply'}", "--betti=1,2,1"])
     lines = capsys.readouterr().out.splitlines()
-    assert "as recorded" in lines[1] and code == (0 if (tmp_path / "mesh.ply").exists() else 1)
+    assert (
+        ", as before: " in lines[0]
+        and "as recorded" in lines[1]
+        and code == (0 if (tmp_path / "mesh.ply").exists() else 1)
+    )
 
 
 @pytest.mark.parametrize(

@@ -209,9 +209,9 @@ def test_what_is_recorded_is_not_run_again(swept, monkeypatch, capsys):
     tiny_studies(monkeypatch)
     baseline = ["sweep", "baseline", "--shape=sphere", f"--results={results}"]
     assert cli.main([*baseline, "--quiet", "--seed=0"]) == 0
-    assert "0 runs done, 1 were recorded before, 0 failed" in capsys.readouterr().out
+    assert "recorded before, 0 failed\nnext: python -m paper_artifact book --ru" in capsys.readouterr().out
     assert cli.main([*baseline, "--list"]) == 0
-    assert capsys.readouterr().out.splitlines() == ["missing: sphere C0 seed 2", "2 of 3 runs recorded"]
+    assert "C0 seed 2\n2 of 3 runs recorded\nnext: python -m paper" in capsys.readouterr().out
 
 
 def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsys):

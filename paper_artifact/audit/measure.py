@@ -14,6 +14,7 @@ from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.config import LossConfig, RunConfig
 from paper_artifact.errors import InputError, quoted
 from paper_artifact.evaluate.diagram import Diagram, lifetimes, longest_bars, measure, require_memory_for
+from paper_artifact.files import cut_name
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
@@ -49,7 +50,7 @@ class Audit:
         begin: tuple[str, ...] = ()
         usual = LossConfig()
         if not self.certificate.passed:
-            shell = quoted(f"{self.mesh.name}_shell.ply")
+            shell = quoted(f"{cut_name(self.mesh.name)}_shell.ply")
             begin = (f"{python} ingest {name} --out {shell}", f"{python} audit {shell}")
         if self.decision.dimension is None or self.bundle is None:
             return (*begin, f"{python} train {name}")

@@ -15,7 +15,7 @@ from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError, quoted
-from paper_artifact.files import RESULTS, load_json, renewed_folder, write_json, write_text
+from paper_artifact.files import RESULTS, cut_name, load_json, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.fetch import sources
@@ -93,12 +93,12 @@ def certify(options: Certify) -> tuple[int, Any]:
         certificate = certify_mesh(mesh, with_boundary=False if options.closed else None, progress=stage)
     print(certificate_text(certificate))
     found = certificate.to_json()
+    shell = f"{cut_name(mesh.name)}_shell.ply"
     if options.where or options.fill or options.cut:
         if not (certificate.passed and certificate.closed):
-            shell = quoted(f"{mesh.name}_shell.ply")
             raise InputError(
                 f"{mesh.name} is no closed certified surface, so it has no inside; make a shell of it first: "
-                f"python -m paper_artifact ingest {quoted(options.mesh)} --out {shell}"
+                f"python -m paper_artifact ingest {quoted(options.mesh)} --out {quoted(shell)}"
             )
         found |= _where(options, mesh, certificate.genus or 0)
     if options.fill or options.cut:
@@ -106,7 +106,7 @@ def certify(options: Certify) -> tuple[int, Any]:
     elif certificate.passed:
         print(next_command("audit", options.mesh))
     else:
-        print(next_command("ingest", options.mesh, "--out", f"{mesh.name}_shell.ply"))
+        print(next_command("ingest", options.mesh, "--out", shell))
     return int(not certificate.passed), found
 
 
@@ -115,10 +115,13 @@ def _mended(options: Certify) -> Path:
     name was not given and there is such a file."""
     from paper_artifact.ingest.solidify import check_format
 
-    out = options.out or Path(f"{Path(str(options.mesh)).stem}_{'filled' if options.fill else 'cut'}.ply")
+    name = cut_name(Path(str(options.mesh)).stem)
+    out = options.out or Path(f"{name}_{'filled' if options.fill else 'cut'}.ply")
     check_format(out)
     if options.out is None and out.exists():
-        raise InputError(f"{out} is there already; --out {out} replaces it, --out with another name keeps it")
+        raise InputError(
+            f"{out} is there already; --out {quoted(out)} replaces it, --out with another name keeps it"
+        )
     return out
 
 
@@ -237,6 +240,8 @@ def propose(soup: str | None, scene: Path | None) -> int:
     print(*found.sentences, "lengths of bars in floors; what is below 1 hides", sep="\n")
     numbers = ",".join(map(str, found.betti))
     print(f"proposal, read at M = {found.samples}: --betti {numbers}; correct what you know better")
+    if scene is not None:
+        print(next_command("train", "--scene", scene, "--condition", "T3", "--betti", numbers))
     return 0
 
 
@@ -268,7 +273,7 @@ def audit(options: AuditOptions) -> int:
     from paper_artifact.certify.certificate import verdict_text
 
     mesh = find_mesh(options.mesh, welded=False)
-    folder = options.out or RESULTS / "audits" / (re.sub(r"[^\w.-]+", "_", mesh.name) or "mesh")
+    folder = options.out or RESULTS / "audits" / (cut_name(re.sub(r"[^\w.-]+", "_", mesh.name)) or "mesh")
     if options.out is None:
         _check_other(folder, options.mesh)
     with renewed_folder(folder, "audit", AUDIT_FILES) as new, stage_bar(options.mesh, options.quiet) as stage:

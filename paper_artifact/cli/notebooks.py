@@ -10,6 +10,7 @@ from typing import Annotated
 from paper_artifact.cli.bars import bar
 from paper_artifact.cli.options import Options
 from paper_artifact.cli.output import next_command, to_string
+from paper_artifact.errors import quoted
 from paper_artifact.files import RESULTS, write_text
 from paper_artifact.notebooks import (
     EXECUTED,
@@ -112,6 +113,7 @@ def book(options: Book) -> int:
     from paper_artifact import results
     from paper_artifact.book.build import build
     from paper_artifact.book.main_result import PICTURE, main_runs, picture_svg
+    from paper_artifact.claims import MISSING
 
     if options.refresh:
         write_text(PICTURE, picture_svg(main_runs(results.load())))
@@ -125,4 +127,8 @@ def book(options: Book) -> int:
     for item in found:
         print(f"{item.name:<9} {item.word} ({item.tally})")
     print(f"book: {options.out / 'index.html'}")
+    if options.runs == RESULTS / "runs" and any(item.word == MISSING for item in found):
+        print(next_command("run-all"))
+    else:
+        print(f"next: python -m webbrowser {quoted(options.out / 'index.html')}")
     return 0

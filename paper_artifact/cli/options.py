@@ -139,6 +139,23 @@ def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
     return kind(**values)
 
 
+def words_of(options: Options, *without: str) -> list[object]:
+    """Return the words of a command line that gives these options, but for the fields `without`."""
+    words: list[object] = []
+    hints, texts = typing.get_type_hints(type(options), include_extras=True), _texts(type(options))
+    for each in fields(options):
+        value, about = getattr(options, each.name), _Type(hints[each.name])
+        default = [] if about.container is list else each.default
+        if each.name in ("quiet", *without) or value == default:
+            continue
+        flag = [] if about.positional else [f"--{texts[each.name][0]}"]
+        if about.container is list:
+            words += [word for item in value for word in (*flag, item)]
+        else:
+            words += flag if about.item is bool else [*flag, *(value if about.container else [value])]
+    return words
+
+
 def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
     """Raise WrongUsage where two files or folders to write (Path), or a file that is read (Source) and one to
     write, are the same. named: (flag, type, path) of each option."""

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from paper_artifact.cli.options import Options, Positional, Source, usage_checked
+from paper_artifact.cli.options import Options, Positional, Source, usage_checked, words_of
 from paper_artifact.cli.output import next_command
 from paper_artifact.cli.runs import Train, summary, trained
-from paper_artifact.cli.scenes import registered_text
+from paper_artifact.cli.scenes import registered_text, written
 from paper_artifact.cli.solids import Solidify, numbers, offset_table, solid_of, written_text
 from paper_artifact.cli.soups import Export, exported
 from paper_artifact.config import STEPS_OF_THE_STUDY
 from paper_artifact.errors import InputError
 from paper_artifact.export.solid import check_format, write_solid
-from paper_artifact.files import OWN, check_writable
+from paper_artifact.files import OWN, check_writable, cut_name
 from paper_artifact.ingest.solidify import wanted_of
 from paper_artifact.photos.pictures import FRAMES  # noqa: F401, for the help
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
@@ -62,8 +62,9 @@ def reconstruct(options: Reconstruct) -> int:
     if options.out is not None:
         check_writable(options.out)
     source = Path(options.photographs)
-    work = options.work or OWN / source.resolve().stem
+    work = options.work or OWN / cut_name(source.resolve().stem)
     scene = Source(str(work / "scene"))
+    before = written(scene)
     found = photographs_scene(
         source,
         scene,
@@ -71,7 +72,8 @@ def reconstruct(options: Reconstruct) -> int:
         progress=not options.quiet,
         tell=lambda text: print(f"warning: {text}", file=sys.stderr),
     )
-    print(f"photographs  {registered_text(found)}: {scene}")
+    held = ", as before" if before is not None and before == written(scene) else ""
+    print(f"photographs  {registered_text(found)}{held}: {scene}")
     run = Train(
         scene=scene,
         changes=[f"budget={options.budget}"],
@@ -84,7 +86,7 @@ def reconstruct(options: Reconstruct) -> int:
     pictures = exported(Export(soup=Source(str(soup)), scene=scene, out=work, formats=("png", "html")))
     print(f"pictures     3-D: {pictures[0]}; photographs held out above, renders below: {pictures[-1]}")
     if options.out is None:
-        print(next_command("reconstruct", source, "--betti", "1,1,0", "--out", "mesh.ply"))
+        print(next_command("reconstruct", *words_of(options), "--betti", "1,1,0", "--out", "mesh.ply"))
         return 0
     cut = Solidify(soup=Source(str(soup)), out=options.out, scene=scene, quiet=options.quiet)
     solid = solid_of(cut, betti, OFFSETS)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, get_condition, shape_row, study_config
 from paper_artifact.cli.bars import bar, step_bar
-from paper_artifact.cli.options import Positional, Source, WrongUsage, usage_checked
+from paper_artifact.cli.options import Positional, Source, WrongUsage, usage_checked, words_of
 from paper_artifact.cli.output import next_command
 from paper_artifact.cli.reading import OwnSceneOptions
+from paper_artifact.cli.verify import recorded_runs, report_differences
 from paper_artifact.config import DEVICES, STEPS_OF_THE_STUDY, LossConfig, RunConfig, parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
@@ -176,51 +177,16 @@ def train(options: Train) -> int:
     if not soup.is_file():
         print(f"warning: the soup {soup} is gone; --again trains it anew", file=sys.stderr)
         return 0
-    print(f"soup: {soup}")
-    if options.scene is None:
-        print(next_command("export", soup, "--target", options.shape))
-    else:
-        stated = [] if options.betti is None else ["--betti", options.betti]
-        print(next_command("solidify", soup, "--scene", options.scene, *stated, "--out", "mesh.ply"))
+    print(f"soup: {soup}", _after(soup, options.shape, options.scene, options.betti), sep="\n")
     return 0
 
 
-def recorded_runs(configs: Iterable[RunConfig], results: Path) -> list[Path]:
-    """Return the paths of the runs' records. Raises InputError for a run that has none."""
-    from paper_artifact.record.store import recorded_path
-    from paper_artifact.scene.given import called, is_own, resolve
-
-    found = []
-    for config in configs:
-        path = recorded_path(resolve(config).config if is_own(config) else config, results / "runs")
-        if path is None:
-            raise InputError(
-                f"{results / 'runs'} has no record of {called(config)} {config.condition} seed {config.seed} "
-                "with these settings to compare with; leave out --verify to train it"
-            )
-        found.append(path)
-    return found
-
-
-def report_differences(recorded: Iterable[Path], again: Iterable[Path]) -> int:
-    """Print for each record and the record of the same run, made again, whether they hold the same bits.
-    Returns 0 if all do, else 1."""
-    from paper_artifact.record.store import first_difference, read_record
-
-    different = 0
-    for old, new in zip(recorded, again, strict=True):
-        before, after = read_record(old), read_record(new)
-        found = first_difference(before, after)
-        different += found is not None
-        print(f"{old.name}: {found or 'same bits'}")
-        versions = [
-            f"{name} {before['packages'].get(name)}, now {version}"
-            for name, version in after["packages"].items()
-            if before["packages"].get(name) != version
-        ]
-        if versions:
-            print(f"  the record was made with {'; '.join(versions)}")
-    return int(different > 0)
+def _after(soup: Path, shape: str | None, scene: str | None, betti: str | None) -> str:
+    """Return the line of what comes next for a soup of a shape or mesh, or of a scene."""
+    if scene is None:
+        return next_command("export", soup, "--target", shape)
+    stated = [] if betti is None else ["--betti", betti]
+    return next_command("solidify", soup, "--scene", scene, *stated, "--out", "mesh.ply")
 
 
 def closing_notes(record: dict) -> list[str]:
@@ -354,6 +320,8 @@ def sweep(options: Sweep) -> int:
         for config in todo:
             print(f"missing: {run_name(config)}")
         print(f"{len(configs) - len(todo)} of {len(configs)} runs recorded")
+        if todo:
+            print(next_command("sweep", *words_of(options, "listing")))
         return 0
     if options.verify:
         todo = missing(configs, results)
@@ -366,7 +334,19 @@ def sweep(options: Sweep) -> int:
             different = report_differences(recorded, recorded_runs(configs, Path(temporary)))
         print(f"{len(configs)} runs compared, {len(todo)} have no record")
         return different
-    return 1 if _swept(options, configs, results) else 0
+    if _swept(options, configs, results):
+        return 1
+    if options.study in STUDIES:
+        print(
+            next_command("run-all")
+            if results == RESULTS
+            else next_command("book", "--runs", results / "runs")
+        )
+    else:
+        soup = results / "soups" / f"{recorded_runs(configs[-1:], results)[0].stem}.npz"
+        if soup.is_file():
+            print(_after(soup, options.study, options.scene, options.betti))
+    return 0
 
 
 def _swept(options: Sweep, configs: list[RunConfig], results: Path) -> list[Outcome]:

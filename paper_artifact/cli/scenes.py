@@ -78,6 +78,8 @@ def fetch(options: Fetch) -> int:
             print(f"{key:<17}{size:6.2f} MB  {shown}  ({fetched.origin})")
     if failed:
         print(f"paper_artifact: {failed} of {len(keys)} meshes could not be fetched", file=sys.stderr)
+    elif not options.key:
+        print(next_command("certify", "--candidates"))
     elif len(keys) == 1 and files:
         print(next_command("photos", path, "--out", f"results/scenes/{keys[0]}"))
     elif len(keys) == 1:
@@ -122,6 +124,7 @@ class Photos(Options):
 
 def photos(options: Photos) -> int:
     """Make the scene and print what was registered. Returns 0."""
+    before = written(options.out)
     found = photographs_scene(
         Path(options.photographs),
         options.out,
@@ -129,6 +132,8 @@ def photos(options: Photos) -> int:
         progress=not options.quiet,
         tell=lambda text: print(f"warning: {text}", file=sys.stderr),
     )
+    if before is not None and before == written(options.out):
+        print("nothing ran: the scene of these photographs is there already")
     print(f"{found.folder}: {registered_text(found)}")
     if not options.keep_exposure:
         spread = max(found.exposures.values()) / min(found.exposures.values())
@@ -191,7 +196,7 @@ def scene(options: Scene) -> int:
         raise WrongUsage(f"--{wrong} has no meaning for {'images' if options.transforms else 'a surface'}")
     with usage_checked():
         config = SceneConfig(**given) if options.transforms is None else TransformsConfig(**given)
-    before = _written(options.out)
+    before = written(options.out)
     if isinstance(config, TransformsConfig):
         folder = transforms_scene(
             Path(options.transforms or ""), options.out, config, progress=not options.quiet
@@ -208,14 +213,14 @@ def scene(options: Scene) -> int:
             f"{config.size}×{config.size} pixels"
         )
         points = f"{config.points} SfM points"
-    if before is not None and before == _written(folder):
+    if before is not None and before == written(folder):
         print("nothing ran: this scene is there already")
     print(f"{folder}: {what} ({len(range(0, views, EVERY))} held out), {points}")
     print(next_command("train", "--scene", folder))
     return 0
 
 
-def _written(folder: Path) -> int | None:
+def written(folder: Path | str) -> int | None:
     """Return when a scene's description was written (ns), None where there is none."""
-    file = folder / "scene.json"
+    file = Path(folder) / "scene.json"
     return file.stat().st_mtime_ns if file.is_file() else None

@@ -98,8 +98,8 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
     about = {"target": target.name, "dimension": target.dimension, "target_counts": list(target.counts)}
     result = scores.evaluate_samples(samples, target) | asked | about | images
     print(_table(result))
-    if is_soup:
-        print(next_command("export", options.surface, "--target", options.target))
+    of = ["--target", options.target] if is_soup else []
+    print(next_command("export" if is_soup else "certify", options.surface, *of))
     return 0, result
 
 
@@ -198,6 +198,9 @@ class Export(ReadingOptions):
 def export(options: Export) -> int:
     """Write the files and print their paths. Returns 0."""
     print(*exported(options), sep="\n")
+    known = {"--scene": options.scene} if options.scene else {"--target": options.target}
+    of = [word for flag, value in known.items() if value for word in (flag, value)]
+    print(next_command("solidify", options.soup, *of, "--out", "mesh.ply"))
     return 0
 
 

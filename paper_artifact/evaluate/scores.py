@@ -18,7 +18,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.files import RESULTS, load_npz, write_npz
+from paper_artifact.files import RESULTS, cut_name, load_npz, write_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_soup, sample_surface
@@ -193,7 +193,8 @@ def _rounded(value: float) -> float:
 
 
 def _file_name(name: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in Path(name).name)
+    plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in Path(name).name)
+    return cut_name(plain)
 
 
 def _digest(mesh: Mesh, count: int, seed: int) -> str:

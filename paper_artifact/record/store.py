@@ -27,7 +27,7 @@ import numpy as np
 
 from paper_artifact.config import DEFAULTS_VERSION, RunConfig, config_from, config_values, identity
 from paper_artifact.errors import InputError
-from paper_artifact.files import RESULTS, load_json, write_text
+from paper_artifact.files import RESULTS, cut_name, load_json, write_text
 from paper_artifact.record.environment import host, packages
 
 SCHEMA = "paper_artifact.run"
@@ -76,7 +76,8 @@ def config_hash(config: RunConfig, version: int = DEFAULTS_VERSION) -> str:
 def record_path(config: RunConfig, folder: Path | str = RUNS, version: int = DEFAULTS_VERSION) -> Path:
     """Return where the record of `config` lies, or would lie, under that version of the defaults."""
     shape, condition = (
-        re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(name).name) for name in (config.shape, config.condition)
+        cut_name(re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(name).name))
+        for name in (config.shape, config.condition)
     )
     return Path(folder) / f"{shape}-{condition}-s{config.seed}-{config_hash(config, version)}.json"
 

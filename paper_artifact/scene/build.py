@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_json, write_npz
+from paper_artifact.files import cut_name, write_json, write_npz
 from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
@@ -166,7 +166,7 @@ def scene_key(mesh: Mesh, config: SceneConfig) -> str:
 
 def scene_folder(mesh: Mesh, config: SceneConfig, root: Path | str) -> Path:
     """Return a folder below `root` that no other mesh or configuration shares."""
-    return Path(root) / f"{mesh.name}-{scene_key(mesh, config)[:12]}"
+    return Path(root) / f"{cut_name(mesh.name)}-{scene_key(mesh, config)[:12]}"
 
 
 def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: bool = False) -> Path:
