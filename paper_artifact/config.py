@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 from types import NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, real
 
 # Raise this when the default of a field changes (a new field changes none), and note below what it was.
 DEFAULTS_VERSION = 1
@@ -356,12 +356,12 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
     if get_origin(wanted) is tuple:
         item = get_args(wanted)[0]
         several = tuple(value) if isinstance(value, (list, tuple)) else (value,)
-        several = tuple(float(each) if item is float and type(each) is int else each for each in several)
+        several = tuple(real(each) if item is float and type(each) is int else each for each in several)
         if all(type(each) is item for each in several):
             return several
     elif wanted is float and type(value) in (int, float):
-        if math.isfinite(value):
-            return float(value)
+        if math.isfinite(number := real(value)):
+            return number
     elif type(value) is wanted:
         return value
     word = kind.__name__ if isinstance(kind, type) else str(kind)

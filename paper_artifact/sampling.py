@@ -79,11 +79,12 @@ def sample_surface(
     Raises InputError for a negative count, one that memory does not hold, faces of other vertices, or when no
     area × weight is left to draw from.
     """
-    count = whole("the number of samples", count)
+    count = whole("the number of samples", count, 0, 10**15)
     if count > MANY:
         require_memory(BYTES * count, f"{count} samples", "give fewer samples")
     vertices, faces = check_indices(vertices, faces, "the surface")
-    mass = face_areas(vertices, faces)
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
+        mass = face_areas(vertices, faces)
     if weights is not None:
         weights = as_numbers(weights, "the weights", f"give {len(faces)} numbers, one a face")
         if weights.shape != mass.shape:

@@ -161,7 +161,8 @@ CENTRED = {"resolution": 1, "span": ((-0.5, 0.5), (0.5, 1.5))}  # the pixel's ce
         (wasserstein, {"order": 11}, "give 1 to 10"),
         (wasserstein, {"internal": 0.5}, "give 1 to 10, internal also inf"),
         (wasserstein, {"internal": 1000}, "give 1 to 10, internal also inf"),
-        (persistence_image, {"resolution": 0}, "resolution is 0; give a whole number of at least 1"),
+        (persistence_image, {"resolution": 0}, "resolution is 0; give a whole number from 1"),
+        (persistence_image, {"resolution": 10**400}, "resolution is 10+; give a whole number from 1"),
         (persistence_image, {"resolution": -1}, "resolution is -1"),
         (persistence_image, {"resolution": 2.5}, "resolution is 2.5"),
         (persistence_image, {"bandwidth": 0.0}, "bandwidth is 0.0; give a positive number"),
@@ -176,9 +177,9 @@ CENTRED = {"resolution": 1, "span": ((-0.5, 0.5), (0.5, 1.5))}  # the pixel's ce
         (persistence_landscape, {"span": (0, np.inf)}, "the span .* is empty or none"),
         (persistence_landscape, {"span": (-1.7e308, 1.7e308)}, "the span .* is empty or none"),
         (persistence_landscape, {"span": 3}, "the span .* is empty or none"),
-        (persistence_landscape, {"layers": 0}, "layers is 0; give a whole number of at least 1"),
+        (persistence_landscape, {"layers": 0}, "layers is 0; give a whole number from 1"),
         (persistence_landscape, {"layers": 2.5}, "layers is 2.5"),
-        (persistence_landscape, {"resolution": 1}, "resolution is 1; give a whole number of at least 2"),
+        (persistence_landscape, {"resolution": 1}, "resolution is 1; give a whole number from 2"),
     ],
 )
 def test_options_that_make_no_sense(call, options, words):

@@ -332,9 +332,16 @@ def test_the_transformer_is_scikit_learns():
     assert rows.shape == (2, 9)
     lives = [np.sort(each.deaths - each.births)[::-1][:3] for each in alpha_persistence(clouds[1])]
     np.testing.assert_array_equal(rows[1], np.concatenate(lives))
-    for options in ({"longest": 0}, {"longest": -1}, {"longest": 2.5}, {"delay": 0}, {"delay": "1"}):
+    for options in (
+        {"longest": 0},
+        {"longest": -1},
+        {"longest": 2.5},
+        {"delay": 0},
+        {"delay": "1"},
+        {"longest": 10**400},
+    ):
         for X in (cloud(4), clouds):
-            with pytest.raises(InputError, match="is .*; give a whole number of at least 1"):
+            with pytest.raises(InputError, match="is .*; give a whole number from 1"):
                 AlphaTransformer(**options).fit(X)
     for X in ([cloud(30), cloud(30, 2)], np.zeros((0, 5, 3)), [cloud(30), cloud(30, 4)]):
         with pytest.raises(InputError, match="X has no clouds, or some|shape"):

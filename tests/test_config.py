@@ -57,6 +57,8 @@ from paper_artifact.record.store import config_hash
         ({"loss": {"dimensions": ()}}, "dimensions must be some of 0, 1, 2"),
         ({"loss": {"dimensions": (1, 3)}}, "dimensions must be some of 0, 1, 2"),
         ({"loss": {"dimensions": (1, 1)}}, "dimensions must be some of 0, 1, 2"),
+        ({"loss": {"pull": 10**400}}, "pull takes a value of kind float"),
+        ({"loss": {"ramp": (0, 10**400)}}, "ramp must be two fractions"),
         ({"loss": {"refresh_every": 0}}, "refresh_every must be at least 1"),
         ({"loss": {"fallback": "ignore"}}, "unknown fallback 'ignore'"),
         ({"loss": {"kind": "love"}}, "unknown kind 'love'"),

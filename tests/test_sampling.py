@@ -64,6 +64,6 @@ def test_nothing_to_draw_from_is_an_error():
     for vertices in ("abc", None, mesh.vertices):
         with pytest.raises(InputError, match="soup"):
             sample_soup(vertices, None, 10, stream(0, "test"))
-    with pytest.raises(InputError, match="number of samples is -1; give a whole number of at least 0"):
+    with pytest.raises(InputError, match="number of samples is -1; give a whole number from 0 to 10"):
         sample_surface(mesh.vertices, mesh.faces, -1, stream(0, "test"))
     assert len(sample_surface(mesh.vertices, mesh.faces, 0, stream(0, "test"))[0]) == 0

@@ -35,7 +35,7 @@ def test_bundle_refuses_empty_dimensions_and_names_them():
         build_bundle(sphere(0), 3.46, suppress=(2,))
     with pytest.raises(InputError, match="in any dimension"):
         build_bundle(np.random.default_rng(0).random((100, 3)), 3**0.5)
-    for dimensions in (3, (1.0,), "1", (-1,)):
+    for dimensions in (3, np.array(3), (1.0,), "1", (-1,)):
         for options in ({"dimensions": dimensions}, {"suppress": dimensions}):
             with pytest.raises(InputError, match="does not exist in three-dimensional space"):
                 build_bundle(sphere(0), 3.46, **options)
@@ -112,9 +112,10 @@ def test_bundle_from_mesh_is_a_function_of_its_seed_and_knows_its_mesh():
         ({"vertices": np.zeros((0, 3)), "faces": np.zeros((0, 3), int)}, "cube has no triangles"),
         ({"vertices": corners[:, :2]}, r"cube has vertices \(8, 2\) and faces \(12, 3\)"),
         ({"vertices": corners * np.nan}, "NaN or infinite"),
+        ({"vertices": 1e200 * corners}, "no finite, positive area"),
         ({"faces": faces + 0.4}, "refers to vertex .*, no whole number"),
-        ({"samples": 2.5}, "number of samples is 2.5; give a whole number of at least 0"),
-        ({"samples": -5}, "number of samples is -5; give a whole number of at least 0"),
+        ({"samples": 2.5}, "number of samples is 2.5; give a whole number from 0"),
+        ({"samples": 10**400}, "number of samples is 10+; give a whole number from 0"),
         ({"seed": -1}, "seed is -1; give a whole number from 0"),
         ({"seed": 2**63}, "seed is 9223372036854775808; give a whole number from 0"),
     ):

@@ -39,12 +39,13 @@ class AlphaTransformer(TransformerMixin, BaseEstimator):
 
     def _clouds(self, X: Any, reset: bool) -> Any:
         for name in ("longest", "delay"):
-            whole(name, getattr(self, name), 1)
+            whole(name, getattr(self, name), 1, 10**6)
         if is_batch(X):
             clouds = [check_points(each) for each in X]
             if len({each.shape[1] for each in clouds}) != 1:
                 raise InputError("X has no clouds, or some in space and some in the plane; give one kind")
             return clouds
+        X = X.detach() if hasattr(X, "detach") else X
         table = validate_data(self, X, reset=reset, dtype=np.float64)
         return np.stack([np.roll(table, -k * self.delay, axis=1) for k in range(3)], axis=-1)
 

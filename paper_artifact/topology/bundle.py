@@ -242,7 +242,8 @@ def fingerprint(*arrays: np.ndarray) -> str:
 
 def _numbers(dimensions: Any) -> tuple[int, ...]:
     """Return dimensions, one or several, as sorted ints; raise InputError for what is none of 0, 1, 2."""
-    several = dimensions if isinstance(dimensions, Iterable) else (dimensions,)
+    plain = dimensions.tolist() if hasattr(dimensions, "tolist") else dimensions
+    several = plain if isinstance(plain, Iterable) else (plain,)
     for each in several:
         if not isinstance(each, Integral) or each not in (0, 1, 2):
             raise InputError(
