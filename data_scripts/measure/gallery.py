@@ -65,7 +65,7 @@ Loss = Callable[[Tensor], Tensor]
 
 
 def file(origin: tuple[str, str, str], name: str) -> Path:
-    """Return the path of a sample, downloaded or from the mirror, with the pinned sha256."""
+    """Return the path of a sample: downloaded with the pinned sha256, or in the mirror, unchecked."""
     repository, commit, folder = origin
     mirror = os.environ.get(MIRROR_VARIABLE)
     if mirror:
