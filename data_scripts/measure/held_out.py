@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,9 @@ from damaged import Field, cylinder, ellipsoid, meshed, ring, union, without
 
 from paper_artifact.catalogue import shape_row, study_config
 from paper_artifact.errors import InputError
+from paper_artifact.evaluate.scores import make_target
 from paper_artifact.files import atomic_path
+from paper_artifact.mesh import load_mesh
 from paper_artifact.pipeline import run
 from paper_artifact.results import MEASURED
 
@@ -128,6 +131,12 @@ def mesh_file(shape: str, folder: Path) -> Path:
     return path
 
 
+@cache
+def clean_counts(mesh: Path) -> tuple[int, ...]:
+    """Return the significant bars per dimension of 20,000 samples of the surface itself."""
+    return make_target(load_mesh(mesh), cache=None).counts
+
+
 def row_of(shape: str, betti: Betti | None, arm: str, seed: int, folder: Path) -> dict[str, Any]:
     """Return one row of a table: a run, trained or read."""
     condition, loss = ARMS[arm]
@@ -140,6 +149,8 @@ def row_of(shape: str, betti: Betti | None, arm: str, seed: int, folder: Path) -
     allocation = STRONG if condition == "B5" else None
     config = study_config(name, condition, seed, loss=loss, allocation=allocation, **named)
     row: dict[str, Any] = {"shape": shape, "arm": arm, "seed": seed}
+    if betti is not None:
+        row["clean"] = ",".join(map(str, clean_counts(mesh_file(shape, folder))))
     try:
         record = run(config, results=folder, device="cpu")
     except InputError as error:

@@ -1,8 +1,8 @@
-"""Write photographs/*.jpg and cameras.json: the mug on a small table, photographed with a plain lens and
-sensor.
+"""Write ../THING/photographs/*.jpg and cameras.json: a mug on wood, a basket on cloth or a chain on stone,
+photographed with a plain lens and sensor.
 
     python -m venv ../mitsuba && ../mitsuba/bin/pip install mitsuba trimesh scipy pillow
-    ../mitsuba/bin/python data_scripts/mug/photograph.py [--views 42] [--samples 8] [--out DIR]
+    ../mitsuba/bin/python data_scripts/mug/photograph.py [mug|basket|chain] [--samples 8] [--out DIR]
 
 Mitsuba 3 renders (a path tracer: glaze, shadows, light between surfaces); the lens bends by one radial term,
 the sensor adds shot and read noise, JPEG does the rest. Mitsuba is no dependency of the project: the
@@ -29,30 +29,48 @@ FOCAL = 760.0  # of the lens, pixels
 BENT = -0.09  # radial distortion: r_bent = r (1 + BENT r²), r in focal lengths
 MARGIN = 1.06  # how much more the pinhole picture shows than the photograph
 TABLE = 11.0  # half side of the table, centimetres
-TARGET = (0.6, 0.0, 3.6)  # that all cameras look at, centimetres
+TARGETS = {"mug": (0.6, 0.0, 3.6), "basket": (0.0, 0.0, 2.2), "chain": (0.0, 0.0, 1.8)}  # looked at, cm
+VIEWS = {"mug": 42, "basket": 30, "chain": 30}
 RINGS = ((16.0, 15), (34.0, 15), (54.0, 14))  # elevation in degrees and the share of the views
 
 
-def decorated(mesh: trimesh.Trimesh, draws: np.random.Generator) -> np.ndarray:
-    """Return colours (V,3) in [0,1] of the mug's vertices: painted bands and spots outside, speckles
-    inside."""
-    points = np.asarray(mesh.vertices)
-    radius, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
-    angle = np.arctan2(points[:, 1], points[:, 0])
+def decorated(points: np.ndarray, draws: np.random.Generator, banded: bool) -> np.ndarray:
+    """Return colours (V,3) in [0,1] of vertices (V,3): painted spots, speckles; on the mug bands."""
+    low, high = ([-5, -5, 0], [8, 5, 9.2]) if banded else (points.min(0), points.max(0))
     colour = np.tile([0.88, 0.84, 0.74], (len(points), 1))
-    cells = draws.uniform([-5, -5, 0], [8, 5, 9.2], (900, 3))
+    cells = draws.uniform(low, high, (900, 3))
     paints = np.array([[0.12, 0.22, 0.5], [0.65, 0.2, 0.12], [0.2, 0.45, 0.3], [0.85, 0.6, 0.15]])
     distance, nearest = cKDTree(cells).query(points)
     spot = distance < draws.uniform(0.2, 0.62, len(cells))[nearest]
     colour[spot] = paints[draws.integers(0, 4, len(cells))[nearest[spot]]]
-    outside = radius > 3.8
-    for middle, waves, width in ((7.6, 7, 0.22), (1.5, 11, 0.16)):
-        band = outside & (np.abs(z - middle - 0.35 * np.sin(waves * angle)) < width)
-        colour[band] = [0.1, 0.16, 0.38]
-    grains = draws.uniform([-5, -5, 0], [8, 5, 9.2], (6000, 3))
+    if banded:
+        radius, z, angle = np.hypot(*points.T[:2]), points[:, 2], np.arctan2(points[:, 1], points[:, 0])
+        for middle, waves, width in ((7.6, 7, 0.22), (1.5, 11, 0.16)):
+            band = (radius > 3.8) & (np.abs(z - middle - 0.35 * np.sin(waves * angle)) < width)
+            colour[band] = [0.1, 0.16, 0.38]
+    grains = draws.uniform(low, high, (6000, 3))
     near, grain = cKDTree(grains).query(points)
     colour[near < 0.075] *= draws.uniform(0.35, 0.8, len(grains))[grain[near < 0.075], None]
     return np.clip(colour, 0, 1)
+
+
+def cloth_picture(draws: np.random.Generator, size: int = 1024) -> np.ndarray:
+    """Return a cloth's picture (size,size,3) float32 in [0,1]: checks of three colours, threads, creases."""
+    across = np.repeat(draws.integers(0, 3, size // 32), 32)
+    colours = np.array([[0.75, 0.71, 0.6], [0.5, 0.13, 0.12], [0.16, 0.22, 0.38]])
+    picture = (colours[across][None] + colours[np.roll(across, 7)][:, None]) / 2
+    threads = 1 + 0.12 * np.sin(np.arange(size) * np.pi / 2)
+    creases = gaussian_filter(draws.standard_normal((size, size)), 18) * 9
+    spots = gaussian_filter(draws.standard_normal((size, size)), 1.5) * 1.2
+    return np.clip(picture * (threads[:, None] * threads + creases + spots)[..., None], 0.02, 1)
+
+
+def stone_picture(draws: np.random.Generator, size: int = 1024) -> np.ndarray:
+    """Return a stone's picture (size,size,3) float32 in [0,1]: grains of every size, dark veins."""
+    noise = [gaussian_filter(draws.standard_normal((size, size)), scale) * scale for scale in (1, 3, 9, 40)]
+    veins = np.abs(gaussian_filter(draws.standard_normal((size, size)), 25)) * 60 < 0.06
+    grey = 0.42 + 0.1 * np.tanh(np.sum(noise, axis=0)) - 0.2 * veins
+    return np.clip(grey[..., None] * [1.05, 1.0, 0.92], 0.02, 1)
 
 
 def table_picture(draws: np.random.Generator, size: int = 1024) -> np.ndarray:
@@ -76,8 +94,11 @@ def table_picture(draws: np.random.Generator, size: int = 1024) -> np.ndarray:
     return np.clip(picture, 0.02, 1)
 
 
-def camera_centres(views: int, draws: np.random.Generator) -> np.ndarray:
-    """Return the cameras' centres (views,3), centimetres, by ring."""
+GROUNDS = {"mug": table_picture, "basket": cloth_picture, "chain": stone_picture}
+
+
+def camera_centres(views: int, target: tuple, draws: np.random.Generator) -> np.ndarray:
+    """Return the centres (views,3), centimetres, of cameras that look at `target`, by ring."""
     shares = np.array([share for _, share in RINGS], float)
     counts = np.floor(views * shares / shares.sum()).astype(int)
     counts[0] += views - counts.sum()
@@ -90,27 +111,27 @@ def camera_centres(views: int, draws: np.random.Generator) -> np.ndarray:
             np.stack([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], 1)
             * reach[:, None]
         )
-    return np.concatenate(centres) + TARGET
+    return np.concatenate(centres) + target
 
 
-def scene_of(mesh: trimesh.Trimesh, draws: np.random.Generator) -> mi.Scene:
-    """Return the Mitsuba scene: mug, table, a large lamp, a grey room."""
+def scene_of(name: str, mesh: trimesh.Trimesh, draws: np.random.Generator) -> mi.Scene:
+    """Return the Mitsuba scene: thing, ground, a large lamp, a grey room."""
     fine = mesh.subdivide().subdivide()
-    colours = decorated(fine, draws)
-    mug = mi.Mesh("mug", len(fine.vertices), len(fine.faces), has_vertex_normals=False, props=_glaze())
-    mug.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
-    values = mi.traverse(mug)
+    colours = decorated(np.asarray(fine.vertices), draws, name == "mug")
+    thing = mi.Mesh("thing", len(fine.vertices), len(fine.faces), has_vertex_normals=False, props=_glaze())
+    thing.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
+    values = mi.traverse(thing)
     values["vertex_positions"] = np.asarray(fine.vertices, np.float32).ravel()
     values["faces"] = np.asarray(fine.faces, np.uint32).ravel()
     values.update()
     to_world = mi.ScalarTransform4f().translate([0, 0, 0]).scale([TABLE, TABLE, 1])
     lamp = mi.ScalarTransform4f().look_at(origin=[14, -18, 30], target=[0, 0, 3], up=[0, 0, 1]).scale(5)
-    board = mi.Bitmap(table_picture(draws))
+    board = mi.Bitmap(GROUNDS[name](draws).astype(np.float32))
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 4},
-            "mug": mug,
+            "thing": thing,
             "table": {
                 "type": "rectangle",
                 "to_world": to_world,
@@ -148,7 +169,7 @@ def _glaze() -> mi.Properties:
 
 
 def photographed(
-    scene: mi.Scene, centre: np.ndarray, samples: int, draws: np.random.Generator
+    scene: mi.Scene, centre: np.ndarray, target: tuple, samples: int, draws: np.random.Generator
 ) -> Image.Image:
     """Return one photograph: pinhole picture, bent by the lens, noise, sRGB."""
     wide, high = round(WIDTH * MARGIN), round(HEIGHT * MARGIN)
@@ -158,7 +179,7 @@ def photographed(
             "fov": float(np.degrees(2 * np.arctan(wide / 2 / FOCAL))),
             "fov_axis": "x",
             "to_world": mi.ScalarTransform4f().look_at(
-                origin=list(centre), target=list(TARGET), up=[0, 0, 1]
+                origin=list(centre), target=list(target), up=[0, 0, 1]
             ),
             "film": {"type": "hdrfilm", "width": wide, "height": high, "rfilter": {"type": "gaussian"}},
             "sampler": {"type": "independent", "sample_count": samples},
@@ -183,32 +204,31 @@ def photographed(
 
 
 def main() -> None:
-    """Photograph the mug from all sides."""
+    """Photograph a thing from all sides."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--views", type=int, default=42)
+    parser.add_argument("thing", choices=TARGETS, nargs="?", default="mug")
     parser.add_argument("--samples", type=int, default=8, help="paths per pixel")
-    parser.add_argument("--quality", type=int, default=80, help="of the JPEG files")
-    parser.add_argument("--first", type=int, default=0, help="view to begin with; those that are there stay")
-    parser.add_argument("--out", type=Path, default=HERE)
-    arguments = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=None, help="photographs that are there stay")
+    given = parser.parse_args()
     mi.set_variant("scalar_rgb")
-    mesh = trimesh.load(HERE / "mug.ply")
-    scene = scene_of(mesh, np.random.default_rng(1))
-    centres = camera_centres(arguments.views, np.random.default_rng(2))
-    folder = arguments.out / "photographs"
+    home, target = HERE.parent / given.thing, TARGETS[given.thing]
+    scene = scene_of(given.thing, trimesh.load(home / f"{given.thing}.ply"), np.random.default_rng(1))
+    centres = camera_centres(VIEWS[given.thing], target, np.random.default_rng(2))
+    out = given.out or home
+    folder = out / "photographs"
     folder.mkdir(parents=True, exist_ok=True)
     true = {}
     for index, centre in enumerate(centres):
-        name = f"mug_{index:02d}.jpg"
+        name = f"{given.thing}_{index:02d}.jpg"
         true[name] = [round(float(value), 5) for value in centre]
-        if index >= arguments.first and not (folder / name).is_file():
-            picture = photographed(scene, centre, arguments.samples, np.random.default_rng([3, index]))
-            picture.save(folder / name, quality=arguments.quality)
+        if not (folder / name).is_file():
+            picture = photographed(scene, centre, target, given.samples, np.random.default_rng([3, index]))
+            picture.save(folder / name, quality=80)
             print(name, flush=True)
     facts = {"unit": "centimetre", "focal": FOCAL, "distortion": BENT, "centres": true}
-    (arguments.out / "cameras.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    (out / "cameras.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
