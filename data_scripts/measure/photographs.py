@@ -1,7 +1,7 @@
 """Mug, basket and chain (data_scripts/THING) from their photographs: registered anew, trained, held against
 the true surface.
 
-    python data_scripts/measure/photographs.py [--things basket chain]      # rows of others stay
+    python data_scripts/measure/photographs.py [--things basket chain] [--seeds 0]   # rows of others stay
 
 One row per thing, condition and seed: distances over the thing's diagonal, significant bars and bottleneck of
 20,000 samples of what the soup has inside the thing's box and above the ground; psnr with one ray a pixel,
@@ -54,7 +54,6 @@ BETTI = {"mug": (1, 1, 0), "basket": (1, 2, 0), "chain": (3, 6, 3)}
 SAMPLES = 8192
 ARMS = ("C0", "T1", "T3")
 SETTINGS: dict[str, Any] = {"budget": 3000, "batch": 1, "steps": 2500, "dump_steps": (2500,)}
-SEEDS = (0, 1, 2)
 HOLDOUT = "8"  # every 8th photograph
 RAYS = 2  # per side of a pixel, where a photograph's averaging over it is imitated
 OFFSETS = {"chain": (0.0075, 0.01, 0.015, 0.02)}  # ε / diagonal of the subject's triangles; links are close
@@ -63,7 +62,7 @@ SHOWN = 3  # of the views held out, in the picture
 MARGIN = 0.3  # centimetres around a thing that still count as it; below z = MARGIN is the ground
 
 
-def measured(thing: str) -> Iterator[dict[str, Any]]:
+def measured(thing: str, seeds: list[int]) -> Iterator[dict[str, Any]]:
     """Yield the rows of a thing; write the picture of the mug."""
     shown = thing != "mug"
     truth = load_mesh(SCRIPTS / thing / f"{thing}.ply")  # centimetres
@@ -72,7 +71,7 @@ def measured(thing: str) -> Iterator[dict[str, Any]]:
         photographs_scene(SCRIPTS / thing / "photographs", place, PhotosConfig(size=SIZE))
         scene, subject = load_scene(place, holdout=HOLDOUT), subject_of_scene(place)
         target, to_truth = make_target(truth, cache=None), similarity(*centres(place, thing))
-        for seed, condition in product(SEEDS, ARMS):
+        for seed, condition in product(seeds, ARMS):
             soup, record = trained(place, condition, seed, Path(folder) / "results", BETTI[thing])
             of_it = soup.select(
                 torch.from_numpy(np.flatnonzero(subject.holds(soup.vertices.numpy().mean(1))))
@@ -155,11 +154,15 @@ def centres(scene: Path, thing: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 if __name__ == "__main__":
-    given = options(__doc__, things={"nargs": "+", "choices": BETTI, "default": list(BETTI)})
+    given = options(
+        __doc__,
+        things={"nargs": "+", "choices": BETTI, "default": list(BETTI)},
+        seeds={"nargs": "+", "type": int, "default": [0, 1, 2]},
+    )
     file = given.out / "photographs.csv"
     table = pd.read_csv(file)
     for name in given.things:
         table = table[table["thing"] != name]
-        for row in measured(name):
+        for row in measured(name, given.seeds):
             table = pd.concat([table, pd.DataFrame([row])])
             write(table, file)
