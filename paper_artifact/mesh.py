@@ -93,7 +93,8 @@ def check_scale(vertices: np.ndarray, name: str) -> None:
     with np.errstate(over="ignore"):
         extent = float(np.ptp(vertices, axis=0).max())
     if extent and not 1 / FAR < extent < FAR:
-        raise InputError(f"{name} extends over {extent:.1g}: too much or too little for areas; scale it")
+        word = "large" if extent > 1 else "small"
+        raise InputError(f"{name} extends over {extent:.1g}, too {word} for areas in double precision; scale it")
 
 
 def checked_mesh(

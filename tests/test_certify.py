@@ -229,8 +229,8 @@ NO_MESH = {
     "fractions": (Mesh(BOX.vertices, BOX.faces + 0.5, "box"), "refers to vertex .*, no whole number"),
     "quads": (Mesh(BOX.vertices, np.array([[0, 1, 3, 2]]), "box"), r"faces \(1, 4\)"),
     "plane": (Mesh(BOX.vertices[:, :2], BOX.faces, "box"), r"vertices \(8, 2\)"),
-    "huge": (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300: too much or too little"),
-    "tiny": (Mesh(1e-300 * BOX.vertices, BOX.faces, "box"), "extends over 1e-300: too much or too little"),
+    "huge": (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300, too large"),
+    "tiny": (Mesh(1e-300 * BOX.vertices, BOX.faces, "box"), "extends over 1e-300, too small"),
     "trimesh's": (BOX, "a Trimesh is no Mesh"),
     "none": (None, "a NoneType is no Mesh"),
 }

@@ -62,7 +62,7 @@ def test_floor_is_six_median_spacings_and_follows_the_closed_form():
     assert measurement_floor(points, diagonal=2.0) == pytest.approx(6 * np.median(nearest) / 2.0, rel=1e-12)
     square = np.column_stack([stream(1, "test").random((20000, 2)), np.zeros(20000)])
     assert measurement_floor(square, 1.0) == pytest.approx(6 * np.sqrt(np.log(2) / (np.pi * 20000)), rel=0.03)
-    with pytest.raises(InputError, match="two points"):
+    with pytest.raises(InputError, match="at least 2 points"):
         measurement_floor(points[:1], 1.0)
 
 

@@ -86,8 +86,8 @@ def test_arrays_are_checked_like_files():
         (square[:, :2], [[0, 1, 2]], r"vertices \(3, 2\)"),
         ("abc", [[0, 1, 2]], "the vertices of soup are not numbers"),
         (square, [["a", "b", "c"]], "the faces of soup are not numbers"),
-        (square * 1e200, [[0, 1, 2]], "soup extends over 1e.200: too much or too little for areas; scale it"),
-        (square * 1e-200, [[0, 1, 2]], "soup extends over 1e-200: too much or too little"),
+        (square * 1e200, [[0, 1, 2]], "soup extends over 1e.200, too large for areas in double precision; scale it"),
+        (square * 1e-200, [[0, 1, 2]], "soup extends over 1e-200, too small"),
     ):
         with pytest.raises(InputError, match=words):
             checked_mesh(vertices, faces, "soup")
@@ -104,5 +104,5 @@ def test_numbers_beyond_double_precision_are_refused_without_a_warning(tmp_path,
     file.write_text(
         document.replace('"nodes":[{', f'"nodes":[{{"scale":{scale},', 1).replace('"matrix"', '"none"')
     )
-    with pytest.raises(InputError, match="NaN or infinite coordinates|too much or too little for areas"):
+    with pytest.raises(InputError, match="NaN or infinite coordinates|too large for areas"):
         load_mesh(file)

@@ -171,7 +171,7 @@ def test_a_soup_that_is_foreign_or_cut_off_is_refused(stored, changes, words):
         load_soup(path)
 
 
-@pytest.mark.parametrize("changes", [{"opacity": np.zeros((40, 3), np.float32)}, {"offset": np.ones(3)}])
+@pytest.mark.parametrize("changes", [{"opacity": np.ones((40, 3), np.float32)}, {"offset": np.ones(3)}])
 def test_a_soup_that_is_not_its_records_is_refused(tmp_path, changes):
     path, record = tmp_path / "soups" / "a.npz", tmp_path / "runs" / "a.json"
     digest = save_soup(path, initial_soup(cloud(5, 60), 40, 3))
