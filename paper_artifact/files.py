@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import io
 import json
 import os
@@ -167,10 +168,10 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
     """Yield an empty temporary folder; on a clean exit its files move into `folder`, and what an earlier call
     for the same part moved there and this one did not is removed. All other files in `folder` stay.
 
-    The folder's MANIFEST lists what was moved, by part; one process at a time changes it. Raises InputError,
-    before and after the block, when one of the files `names` exists and is not listed; for None, when any
-    file exists that is not listed, unless the folder was written for this part before. Also as `atomic_path`
-    does.
+    The folder's MANIFEST lists what was moved, by part, with its SHA-256; one process at a time changes it.
+    Raises InputError, before and after the block, when one of the files `names` exists and is not listed; for
+    None, when any file exists that is not listed, unless the folder was written for this part before; when a
+    listed file of the part was changed since. Also as `atomic_path` does.
     """
     folder = Path(folder)
     with ExitStack() as stack:
@@ -207,13 +208,24 @@ def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
         raise InputError(
             f"{foreign} is there and was not written by this command; choose a new or an empty folder"
         )
+    for name, digest in (before or {}).items():
+        if digest and (path := inside(folder, name)).is_file() and _sha256(path) != digest:
+            raise InputError(
+                f"{path} was changed since this command wrote it; move it elsewhere, or choose another folder"
+            )
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _move_in(new: Path, folder: Path, part: str) -> None:
-    made = sorted(path.relative_to(new).as_posix() for path in new.rglob("*") if path.is_file())
+    made = {path.relative_to(new).as_posix(): _sha256(path) for path in new.rglob("*") if path.is_file()}
     parts = _listed(folder)
     gone = {*parts.pop(part, ())} - {*made}.union(*parts.values())
-    write_json(folder / MANIFEST, parts | {part: sorted({*made, *gone})})  # a kill from here on loses no name
+    # A kill from here on loses no name; which of two contents a file then has is not known.
+    write_json(folder / MANIFEST, parts | {part: dict.fromkeys({*made, *gone}, "")})
     for name in made:
         target = inside(folder, name)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -223,11 +235,19 @@ def _move_in(new: Path, folder: Path, part: str) -> None:
     write_json(folder / MANIFEST, parts | {part: made})
 
 
-def _listed(folder: Path) -> dict[str, list[str]]:
-    """Return the folder's manifest, empty where there is none or it is damaged."""
+def _listed(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the folder's manifest, names and digests ("": not known) by part; empty where there is none or
+    it is damaged."""
     try:
-        parts = load_json(folder / MANIFEST)
-        sound = all(isinstance(name, str) for names in parts.values() for name in names)
+        read = load_json(folder / MANIFEST)
+        # Names alone, as version 0.2.0 listed them, have no digests.
+        parts = {
+            part: names if isinstance(names, dict) else dict.fromkeys(names, "")
+            for part, names in read.items()
+        }
+        sound = all(
+            isinstance(each, str) for names in parts.values() for pair in names.items() for each in pair
+        )
     except (OSError, ValueError, AttributeError, TypeError):
         return {}
     return parts if sound else {}

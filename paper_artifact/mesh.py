@@ -94,7 +94,7 @@ def check_scale(vertices: np.ndarray, name: str) -> None:
         extent = float(np.ptp(vertices, axis=0).max())
     if extent and not 1 / FAR < extent < FAR:
         word = "large" if extent > 1 else "small"
-        raise InputError(f"{name} extends over {extent:.1g}, too {word} for areas in double precision; scale it")
+        raise InputError(f"{name} extends over {extent:.1g}, too {word} for areas; scale it")
 
 
 def checked_mesh(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,10 @@ def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, c
     assert (tmp_path / f"{soup_file.stem}.ply").read_text() == "precious"
     words = f"export {soup_file} --formats ply --out {tmp_path}/new"
     assert main(words.split()) == main(words.split()) == 0
+    (tmp_path / "other").mkdir()
+    shutil.copy(soup_file, tmp_path / "other")
+    assert main(f"export {tmp_path}/other/{soup_file.name} --formats ply --out {tmp_path}/new".split()) == 1
+    assert "was not written by this command" in capsys.readouterr().err  # but from another soup of this name
 
 
 @pytest.mark.parametrize(

@@ -256,6 +256,9 @@ def test_an_audit_is_not_replaced_by_that_of_another_mesh_of_the_same_name(folde
     assert cli.main(["audit", "other/ball.ply", *words]) == 2
     assert "has the audit of" in capsys.readouterr().err
     assert contents(folder / "results") == before
+    given = ["--out", str(folder / "results" / "audits" / "ball")]
+    assert cli.main(["audit", "other/ball.ply", *words, *given]) == 2
+    assert contents(folder / "results") == before
 
 
 @pytest.mark.parametrize("limit", (200_000, 300_000))

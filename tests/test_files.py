@@ -95,6 +95,26 @@ def test_a_folder_of_others_is_refused_and_stays(tmp_path):
     assert files_in(tmp_path / "home") == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_file_that_the_user_edited_stays(tmp_path, known):
+    renew(tmp_path, "a.ply", "b.ply", known=known)
+    write_text(tmp_path / "b.ply", "my edit")
+    for names in (("a.ply", "b.ply"), ("a.ply",)):  # one that would be replaced, one that would be removed
+        with pytest.raises(
+            InputError, match="b.ply was changed since this command wrote it; move it elsewhere"
+        ):
+            renew(tmp_path, *names, known=known)
+    assert (tmp_path / "b.ply").read_text() == "my edit"
+    (tmp_path / "b.ply").unlink()
+    renew(tmp_path, "a.ply", known=known)
+    listed = json.loads((tmp_path / MANIFEST).read_text())
+    write_text(
+        tmp_path / MANIFEST, json.dumps({part: [*names] for part, names in listed.items()})
+    )  # of 0.2.0
+    renew(tmp_path, "c.ply", known=known)
+    assert files_in(tmp_path) == {"c.ply"}
+
+
 def test_writers_into_one_folder_at_once_are_all_listed(tmp_path):
     def export(writer: int) -> None:
         for number in range(10):

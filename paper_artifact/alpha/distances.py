@@ -189,7 +189,7 @@ def persistence_image(
     range of the dtype.
     """
     library, values, array = _finite(bars)
-    resolution = whole("resolution", resolution, 1, 10**5)
+    resolution = whole("resolution", resolution, 1, 10**4)
     longest = float(np.ptp(array, axis=1).max(initial=0.0)) or 1.0
     spans = _spans((_range(array[:, 0]), (0.0, longest)) if span is None else span, 2)
     pixels = [(high - low) / resolution for low, high in spans]
@@ -220,7 +220,7 @@ def persistence_landscape(
     array. Raises InputError as `bottleneck` does, for no layer, one value, or a span that is none.
     """
     library, values, array = _finite(bars)
-    layers, resolution = whole("layers", layers, 1, 10**9), whole("resolution", resolution, 2, 10**9)
+    layers, resolution = whole("layers", layers, 1, 10**4), whole("resolution", resolution, 2, 10**4)
     ((low, high),) = _spans((_range(array.ravel()) if span is None else span,), 1)
     steps = library.arange(resolution, dtype=values.dtype, device=values.device)
     radii = low + (high - low) / (resolution - 1) * steps

@@ -274,8 +274,7 @@ def audit(options: AuditOptions) -> int:
 
     mesh = find_mesh(options.mesh, welded=False)
     folder = options.out or RESULTS / "audits" / (cut_name(re.sub(r"[^\w.-]+", "_", mesh.name)) or "mesh")
-    if options.out is None:
-        _check_other(folder, options.mesh)
+    _check_other(folder, options.mesh)
     with renewed_folder(folder, "audit", AUDIT_FILES) as new, stage_bar(options.mesh, options.quiet) as stage:
         found = audit_mesh(
             mesh,

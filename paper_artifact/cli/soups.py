@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -241,9 +242,10 @@ def exported(options: Export) -> list[Path]:
         images = {f"view{index}.png": image for index, image in enumerate(rows[-1])}
         for name, image in (images | {"views.png": sheet(rows)}).items():
             files[name] = partial(write_png, image=image)
+    place = sha256(str(file.resolve()).encode("utf-8", "surrogateescape")).hexdigest()[:12]
     for kind, write in files.items():
         name = f"{file.stem}.{kind}"
-        with renewed_folder(options.out, f"export of {name}", [name]) as new:
+        with renewed_folder(options.out, f"export of {name} from {place}", [name]) as new:
             write(new / name)
     return [options.out / f"{file.stem}.{kind}" for kind in files]
 
