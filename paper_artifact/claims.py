@@ -66,7 +66,8 @@ def read_claims(folder: Path = FOLDER) -> pd.DataFrame:
         try:
             frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8")
         except (OSError, ValueError) as error:  # pandas' own are ValueErrors
-            raise InputError(f"cannot read the claims {path} ({error}); run the notebook again") from error
+            reason = " ".join(str(error).split())
+            raise InputError(f"cannot read the claims {path} ({reason}); run the notebook again") from error
         sound = isinstance(frame.index, pd.RangeIndex) and tuple(frame.columns) == COLUMNS
         if not sound or not frame["holds"].isin(["yes", "no", MISSING]).all():
             raise InputError(

@@ -17,6 +17,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import shutil
 import tempfile
 import zipfile
@@ -61,7 +62,8 @@ OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from 
 def write_failure(path: Path | str, error: OSError) -> InputError:
     """Return the InputError for what could not be written (a path, or words for it) because of `error`."""
     advice = DISK_FULL.get(error.errno or 0, "choose a folder that you can write to")
-    return InputError(f"cannot write {path}: {error.strerror or error}; {advice}")
+    shown = re.sub(rf"{re.escape(PARTIAL)}[^/]*/(new/)?", "", str(path))  # where it was to be moved to
+    return InputError(f"cannot write {shown}: {error.strerror or error}; {advice}")
 
 
 @contextmanager
@@ -117,10 +119,9 @@ def _locked_folder(parent: Path) -> tuple[Path, int]:
 
 def plain(path: Path | str) -> Path:
     """Return the path behind symbolic links. Raises OSError for a device or a pipe."""
-    found = Path(os.path.realpath(path))
-    if found.exists() and not (found.is_file() or found.is_dir()):
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.ENOTBLK, "it is a device or a pipe")
-    return found
+    return Path(os.path.realpath(path))
 
 
 @contextmanager
@@ -236,11 +237,10 @@ def _move_in(new: Path, folder: Path, part: str) -> None:
 
 
 def _listed(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the folder's manifest, names and digests ("": not known) by part; empty where there is none or
-    it is damaged."""
+    """Return the folder's manifest, names and digests ("": not known, as of names alone) by part; empty
+    where there is none or it is damaged."""
     try:
         read = load_json(folder / MANIFEST)
-        # Names alone, as version 0.2.0 listed them, have no digests.
         parts = {
             part: names if isinstance(names, dict) else dict.fromkeys(names, "")
             for part, names in read.items()
@@ -268,6 +268,11 @@ def _unlisted(folder: Path) -> Path | None:
             if place / name not in known:
                 return place / name
     return None
+
+
+def run_record(soup: Path) -> Path:
+    """Return where the record of a run's soup lies: runs/NAME.json beside soups/NAME.npz."""
+    return soup.parent.parent / "runs" / f"{soup.stem}.json"
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:

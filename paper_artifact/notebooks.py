@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 
 import nbformat
@@ -88,8 +89,12 @@ def own_kernel() -> Iterator[str]:
 @contextmanager
 def figures_of(path: Path, folder: Path) -> Iterator[None]:
     """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
-    in place of those that an earlier execution of it wrote there."""
-    with renewed_folder(folder, path.stem, names=()) as new:
+    in place of those that an earlier execution of it wrote there. Raises InputError for one of such a name,
+    in another folder than FIGURES, that no execution wrote."""
+    guarded = (
+        () if folder == FIGURES else tuple(each.name for each in folder.glob(f"{escape(path.stem)}_*.svg"))
+    )
+    with renewed_folder(folder, path.stem, guarded) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
             yield

@@ -336,3 +336,46 @@ def test_an_id_that_comes_twice_in_a_colmap_model_is_refused(tmp_path):
         (tmp_path / f"{name}.txt").write_text(text)
     with pytest.raises(InputError, match="the id 1 is there twice"):
         read_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("property float z\n", "property float z\nproperty float z\n", "declares 'z' twice"),
+        ("element face", "element vertex 0\nproperty float x\nelement face", "declares 'vertex' twice"),
+        (
+            "property list uchar int vertex_indices\n",
+            "property list uchar int vertex_indices\nproperty list uchar int vertex_index\n",
+            "vertex_indices, or two of it",
+        ),
+    ],
+)
+def test_a_ply_that_declares_a_thing_twice_is_refused(old, new, words, folder, capsys):
+    text = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = {"z": "0 0 0 0\n1 0 0 0\n0 1 0 0\n3 0 1 2\n"}.get(words.split("'")[1] if "'" in words else "")
+    rows = rows or "0 0 0\n1 0 0\n0 1 0\n3 0 1 2" + (" 3 0 1 2\n" if "two" in words else "\n")
+    Path("twice.ply").write_text(text.replace(old, new) + rows)
+    assert cli.main(["certify", "twice.ply"]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_the_record_of_a_soup_is_not_replaced_by_what_is_written(folder, capsys):
+    for place in ("runs/a.json", "soups/a.npz"):
+        Path(place).parent.mkdir()
+        Path(place).write_text("precious")
+    assert cli.main(["evaluate", "soups/a.npz", "--target", "ball.ply", "--json", "runs/a.json"]) == 2
+    assert "the record of" in capsys.readouterr().err
+    assert Path("runs/a.json").read_text() == "precious"
+
+
+def test_a_figure_of_the_users_is_not_replaced_by_a_notebooks(folder):
+    from paper_artifact.notebooks import figures_of
+
+    Path("figures").mkdir()
+    Path("figures/a_plot.svg").write_text("precious")
+    with pytest.raises(InputError, match="a_plot.svg is there"), figures_of(Path("a.ipynb"), Path("figures")):
+        pass
+    assert Path("figures/a_plot.svg").read_text() == "precious"

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Annotated, Any, NewType, TypeVar
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY
+from paper_artifact.files import REPOSITORY, run_record
 
 T = TypeVar("T")
 POSITIONAL = "positional"
@@ -159,8 +159,10 @@ def words_of(options: Options, *without: str) -> list[object]:
 def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
     """Raise WrongUsage where two files or folders to write (Path), or a file that is read (Source) and one to
     write, are the same. named: (flag, type, path) of each option."""
+    soups = [(flag, path) for flag, _, path in named if path.suffix == ".npz"]
+    records = [(f"the record of {flag}", Source, run_record(path)) for flag, path in soups]
     for flag, _, path in (each for each in named if each[1] is Path):
-        for other, kind, known in named:
+        for other, kind, known in (*named, *records):
             if other != flag and (kind is Path or path.is_file()) and realpath(path) == realpath(known):
                 raise WrongUsage(
                     f"{other} and {flag} are both {path}, which would be lost; give one another name"

@@ -9,6 +9,7 @@ from typing import Any
 
 from paper_artifact.cli.options import Options, Source, WrongUsage, usage_checked
 from paper_artifact.config import GivenConfig, with_changes
+from paper_artifact.files import run_record
 
 READING = ("downscale", "background", "holdout")
 
@@ -52,7 +53,7 @@ class ReadingOptions(Options):
         record.
         """
         said = self.reading
-        file = soup.parent.parent / "runs" / f"{soup.stem}.json"
+        file = run_record(soup)
         if self.scene is None or not file.is_file():
             return said
         from paper_artifact.record.store import config_of, read_record

@@ -134,8 +134,8 @@ def read_ply(data: bytes) -> Triangles:
     for element, columns in elements.items():
         lists = {name: column for name, column in columns.items() if isinstance(column, tuple)}
         chosen = [name for name in ("vertex_indices", "vertex_index") if name in lists]
-        if element == "face" and columns and not chosen:
-            raise ValueError("its faces have no list vertex_indices")
+        if element == "face" and columns and len(chosen) != 1:
+            raise ValueError("its faces have no list vertex_indices, or two of it")
         for name in chosen:
             index, sizes = lists[name]
             if element == "face":
@@ -170,6 +170,9 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
                 elements[-1][2].append((name, "", PLY_TYPES[kind]))
     if min((count for _, count, _ in elements), default=0) < 0:
         raise ValueError("it declares a negative number of elements")
+    named = [[name for name, *_ in elements], *([name for name, *_ in columns] for *_, columns in elements)]
+    if twice := [name for names in named for name in names if names.count(name) > 1]:
+        raise ValueError(f"it declares {twice[0]!r} twice")
     if form == "ascii":
         stream: _Words | _Bytes = _Words(np.array(_reals(decoded(data[header.end() :]).split())))
     elif form in ("binary_little_endian", "binary_big_endian"):

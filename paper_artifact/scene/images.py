@@ -18,7 +18,7 @@ from paper_artifact.files import inside
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
 BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
-MOST_PIXELS = 2**27  # of one image: 134 million, more than any camera gives
+MOST_PIXELS = 2**27  # of one image: 134 million
 
 
 class Pixels(NamedTuple):
@@ -132,14 +132,17 @@ def opened(source: Path | io.BytesIO, file: Path) -> Iterator[Image.Image]:
         with warnings.catch_warnings(action="ignore"), Image.open(source, formats=IMAGE_FORMATS) as picture:
             width, height = picture.size
             if width * height > MOST_PIXELS:
-                raise InputError(
-                    f"{file} has {width}×{height} pixels, too many to be a photograph; scale it down"
-                )
+                many = f"{width}×{height} pixels, more than {MOST_PIXELS // 10**6} million"
+                raise InputError(f"{file} has {many}; scale it down")
             if picture.mode not in TRANSPARENT + OPAQUE:
                 raise InputError(f"{file} has pixels of type {picture.mode}; convert it to 8-bit RGB")
             yield picture
     except InputError:
         raise
+    except Image.DecompressionBombError as error:
+        raise InputError(
+            f"{file} has more than {MOST_PIXELS // 10**6} million pixels; scale it down"
+        ) from error
     except UnidentifiedImageError as error:
         raise InputError(
             f"{file} is no image of the kinds {', '.join(IMAGE_FORMATS)}; convert it or leave it out"

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, load_npz, write_npz
+from paper_artifact.files import load_json, load_npz, run_record, write_npz
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays, sigmoid
@@ -138,7 +138,7 @@ def load_soup(path: Path | str) -> Soup:
         raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
     if not all(torch.isfinite(tensor).all() for tensor in tensors):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")
-    record, digest = path.parent.parent / "runs" / f"{path.stem}.json", None
+    record, digest = run_record(path), None
     with suppress(OSError, ValueError, KeyError, TypeError):  # without a record of it, it is what it is
         digest = load_json(record)["soup"]["sha256"] if path.parent.name == "soups" else None
     if digest not in (None, _digest(data)):
