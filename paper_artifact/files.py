@@ -199,7 +199,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
     """Raise InputError where `renewed_folder` does."""
-    before = _listed(folder).get(part)
+    before = listed(folder).get(part)
     if names is not None:
         unlisted = (folder / name for name in names if name not in (before or ()))
         foreign = next((path for path in unlisted if path.exists()), None)
@@ -223,7 +223,7 @@ def _sha256(path: Path) -> str:
 
 def _move_in(new: Path, folder: Path, part: str) -> None:
     made = {path.relative_to(new).as_posix(): _sha256(path) for path in new.rglob("*") if path.is_file()}
-    parts = _listed(folder)
+    parts = listed(folder)
     gone = {*parts.pop(part, ())} - {*made}.union(*parts.values())
     # A kill from here on loses no name; which of two contents a file then has is not known.
     write_json(folder / MANIFEST, parts | {part: dict.fromkeys({*made, *gone}, "")})
@@ -236,7 +236,7 @@ def _move_in(new: Path, folder: Path, part: str) -> None:
     write_json(folder / MANIFEST, parts | {part: made})
 
 
-def _listed(folder: Path) -> dict[str, dict[str, str]]:
+def listed(folder: Path) -> dict[str, dict[str, str]]:
     """Return the folder's manifest, names and digests ("": not known, as of names alone) by part; empty
     where there is none or it is damaged."""
     try:
@@ -256,13 +256,13 @@ def _listed(folder: Path) -> dict[str, dict[str, str]]:
 def _unlisted(folder: Path) -> Path | None:
     """Return a file below `folder` that no manifest lists, in the folder, above or below; None for none."""
 
-    def listed(place: Path) -> set[Path]:
-        return {place / MANIFEST} | {place / name for names in _listed(place).values() for name in names}
+    def own(place: Path) -> set[Path]:
+        return {place / MANIFEST} | {place / name for names in listed(place).values() for name in names}
 
-    known = {path for place in folder.resolve().parents for path in listed(place)}
+    known = {path for place in folder.resolve().parents for path in own(place)}
     for here, folders, files in os.walk(folder.resolve()):
         place = Path(here)
-        known |= listed(place)
+        known |= own(place)
         folders[:] = [name for name in folders if not name.startswith(PARTIAL)]
         for name in files:
             if place / name not in known:

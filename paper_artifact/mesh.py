@@ -7,6 +7,7 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +133,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     read, and for what `checked_mesh` refuses.
     """
     path = Path(path)
-    if not path.is_file():
+    if not isfile(path):  # False for a name that is too long
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")
     kind = path.suffix.lower().lstrip(".")
     if kind == "zip":

@@ -22,7 +22,7 @@ import nbformat
 from nbformat import NotebookNode
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, renewed_folder, write_text
+from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, listed, renewed_folder, write_text
 
 NOTEBOOKS = REPOSITORY / "notebooks"
 EXECUTED = RESULTS / "executed"
@@ -91,10 +91,9 @@ def figures_of(path: Path, folder: Path) -> Iterator[None]:
     """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
     in place of those that an earlier execution of it wrote there. Raises InputError for one of such a name,
     in another folder than FIGURES, that no execution wrote."""
-    guarded = (
-        () if folder == FIGURES else tuple(each.name for each in folder.glob(f"{escape(path.stem)}_*.svg"))
-    )
-    with renewed_folder(folder, path.stem, guarded) as new:
+    known = {name for names in listed(folder).values() for name in names}
+    mine = [] if folder == FIGURES else [each.name for each in folder.glob(f"{escape(path.stem)}_*.svg")]
+    with renewed_folder(folder, path.stem, {*mine} - known) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
             yield

@@ -379,3 +379,22 @@ def test_a_figure_of_the_users_is_not_replaced_by_a_notebooks(folder):
     with pytest.raises(InputError, match="a_plot.svg is there"), figures_of(Path("a.ipynb"), Path("figures")):
         pass
     assert Path("figures/a_plot.svg").read_text() == "precious"
+
+
+def test_a_file_of_the_scene_that_is_read_is_not_replaced(folder, capsys):
+    Path("scene/sparse").mkdir(parents=True)
+    Path("scene/sparse/points3D.bin").write_text("precious")
+    words = ["evaluate", "ball.ply", "--target", "ball.ply", "--scene", "scene", "--json"]
+    assert cli.main([*words, "scene/sparse/points3D.bin"]) == 2
+    assert "is a file of --scene scene" in capsys.readouterr().err
+
+
+def test_a_name_that_is_too_long_is_one_sentence_in_python_too():
+    from paper_artifact.scene.load import load_scene
+    from paper_artifact.scene.shapes import find_mesh
+    from paper_artifact.soup.state import load_soup
+
+    for read in (load_scene, find_mesh, load_soup):
+        for name in ("x" * 300, "x" * 300 + ".obj"):
+            with pytest.raises(InputError):
+                read(name)

@@ -51,6 +51,7 @@ def writing(way: str, path: Path):
         target=write, args=(way, path, lambda: (theirs.send("writing"), time.sleep(60)))
     )
     process.start()
+    theirs.close()  # so that a process that dies is an end of file, not a wait
     try:
         assert ours.recv() == "writing"
         yield

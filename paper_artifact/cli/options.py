@@ -167,6 +167,10 @@ def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
                 raise WrongUsage(
                     f"{other} and {flag} are both {path}, which would be lost; give one another name"
                 )
+            top = Path(realpath(known))
+            inside = kind is Source and path.is_file() and top in Path(realpath(path)).parents
+            if inside and (path.parent.resolve() != top or path.name in ("scene.json", "transforms.json")):
+                raise WrongUsage(f"{flag} {path} is a file of {other} {known}; give another name")
 
 
 def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:

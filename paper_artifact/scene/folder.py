@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from os.path import isdir
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def scene_root(path: Path | str) -> Path:
     such folder.
     """
     path = Path(path)
-    if not path.is_dir():
+    if not isdir(path):  # False for a name that is too long
         raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")
     path = path.resolve()
     above = [path, path.parent] if path.name in ("sparse", *IMAGE_FOLDERS) else [path]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -220,7 +221,7 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         return replace(pot_solid().shell, name=shape)
     if is_named(shape):
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
-    if Path(shape).suffix or Path(shape).is_file():
+    if Path(shape).suffix or isfile(shape):
         return load_mesh(Path(shape), welded=welded)
     raise InputError(
         f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, "

@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,7 @@ def load_soup(path: Path | str) -> Soup:
     """Read a soup that `save_soup` wrote. Raises InputError when the file is missing, damaged, no soup, or
     soups/NAME.npz but not the soup of which the record runs/NAME.json beside it speaks."""
     path = Path(path)
-    if not path.is_file():
+    if not isfile(path):  # False for a name that is too long
         raise InputError(f"no soup at {path}: train one with `python -m paper_artifact train`")
     try:
         data = load_npz(path)
