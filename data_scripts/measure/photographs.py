@@ -159,10 +159,9 @@ if __name__ == "__main__":
         things={"nargs": "+", "choices": BETTI, "default": list(BETTI)},
         seeds={"nargs": "+", "type": int, "default": [0, 1, 2]},
     )
-    file = given.out / "photographs.csv"
-    table = pd.read_csv(file)
+    file, key = given.out / "photographs.csv", ["thing", "condition", "seed"]
+    table = pd.read_csv(file) if file.is_file() else pd.DataFrame()
     for name in given.things:
-        table = table[table["thing"] != name]
         for row in measured(name, given.seeds):
-            table = pd.concat([table, pd.DataFrame([row])])
+            table = pd.concat([table, pd.DataFrame([row])]).drop_duplicates(key, keep="last")
             write(table, file)
