@@ -115,6 +115,10 @@ FILES: dict[str, dict[str, Any]] = {
         "text cut off": (ply()[:-30], "cut off"),
         "binary cut off": (ply("binary_little_endian", data=binary("<")[:-3]), "cut off"),
         "text, 0.5 for an index": (ply().replace(b"\n3 0 ", b"\n3 0.5 ", 1), "0.5 is no whole number"),
+        "text, 300 in a list's uchar": (
+            ply().replace(b"\n3 0 ", b"\n300 0 ", 1),
+            "300 is no whole number from 0 to 255",
+        ),
         "more numbers than declared": (ply(end="3 0 1 2\n"), "4 numbers more than it declares"),
     },
     "STL": {

@@ -229,6 +229,7 @@ def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, capsys):
         (["--background=pink"], "unknown background 'pink'"),
         (["--holdout=a.jpg"], "no view is called a.jpg"),
         (["--holdout=1"], "leaves no view to train on"),
+        (["--holdout="], "no view is called ''"),
         (["--set=views=3"], "views would change scenes that are rendered from a mesh"),
         (["--target=none.obj"], "no mesh file at none.obj"),
         (["--target=none.json"], "cannot read the bundle none.json"),

@@ -186,7 +186,7 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
 
 
 class _Words:
-    """The numbers of a text, taken in order as float64, whatever their declared type."""
+    """The numbers of a text, taken in order as float64; a whole number must fit its declared type."""
 
     def __init__(self, words: np.ndarray) -> None:
         self.words, self.place = words, 0
@@ -197,9 +197,13 @@ class _Words:
         if end > len(self.words):
             raise ValueError("cut off: it holds fewer numbers than it declares")
         table = self.words[self.place : end].reshape(count, len(kinds))
-        whole_ones = table[:, [kind[0] in "iu" for kind in kinds]]
-        if (whole_ones != np.rint(whole_ones)).any():
-            raise ValueError(f"{whole_ones[whole_ones != np.rint(whole_ones)][0]:g} is no whole number")
+        for column, kind in zip(table.T, kinds, strict=True):
+            if kind[0] not in "iu":
+                continue
+            least, most = np.iinfo(kind).min, np.iinfo(kind).max
+            wrong = column[(column != np.rint(column)) | (column < least) | (column > most)]
+            if len(wrong):
+                raise ValueError(f"{wrong[0]:g} is no whole number from {least} to {most}, as its type says")
         self.place = end
         return list(table.T)
 

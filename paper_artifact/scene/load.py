@@ -112,7 +112,7 @@ def load_scene(
     cameras = [framed(model.camera(image), frame) for image in order]
     centres = np.stack([camera.position for camera in cameras])
     own = str(EVERY) if "key" in description else AUTO  # the study's scenes keep their held-out views
-    chosen = held_out(holdout or description.get("holdout", own), names, centres)
+    chosen = held_out(description.get("holdout", own) if holdout is None else holdout, names, centres)
     indices = np.arange(len(names))
     train = indices[~np.isin(indices, chosen)]
 
