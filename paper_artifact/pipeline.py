@@ -41,12 +41,13 @@ from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import Perturbation, SceneConfig, build_scene, scene_folder
 from paper_artifact.scene.given import Given, is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
+from paper_artifact.scene.subject import within
 from paper_artifact.soup.resample import Resampler, allocating_resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
 from paper_artifact.topology.statement import Statement, finished, frame_diagonal
-from paper_artifact.topology.term import TopologyTerm, statement_term
+from paper_artifact.topology.term import TopologyTerm, Within, statement_term
 from paper_artifact.train.backend import check_device
 from paper_artifact.train.loop import train
 from paper_artifact.train.state import alone
@@ -62,11 +63,12 @@ def make_run_term(
     bundle: Bundle | None = None,
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
+    within: Within | None = None,
 ) -> tuple[TopologyTerm | None, Bundle | None]:
     """Return (loss term, target bundle) of a configuration; (None, None) for no loss.
 
     bundle: a target, instead of the mesh. Stated Betti numbers have no bundle and need no
-    mesh, but the SfM cloud's `points` (P,3), world units. strict, tell: see `TopologyTerm`. Raises
+    mesh, but the SfM cloud's `points` (P,3), world units. strict, tell, within: see `TopologyTerm`. Raises
     InputError for a bundle without a bar, or a cloud too small or flat.
     """
     loss = config.loss
@@ -74,7 +76,8 @@ def make_run_term(
         return None, None
     if loss.kind == "betti":
         assert points is not None
-        return statement_term(loss, points, config.steps, config.seed, strict=strict, tell=tell), None
+        steps, seed = config.steps, config.seed
+        return statement_term(loss, points, steps, seed, strict=strict, tell=tell, within=within), None
     if bundle is None:
         assert mesh is not None
         bundle = build_from_mesh(
@@ -89,11 +92,8 @@ def make_run_term(
 
 
 def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: Mesh) -> ImportanceField:
-    """Return the importance field of a run's allocation on the target mesh.
-
-    Random centres are drawn on the surface with the run's seed, of the same number, weights and widths (arms
-    B3, B5).
-    """
+    """Return the importance field of a run's allocation on the target mesh. Random centres (arms B3, B5) are
+    drawn on the surface with the run's seed, of the same number, weights and widths."""
 
     def sample(count: int, generator: np.random.Generator) -> np.ndarray:
         return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
@@ -110,10 +110,7 @@ def make_run_allocation(
     config: RunConfig, mesh: Mesh | None, points: np.ndarray
 ) -> tuple[Resampler | None, np.ndarray | None]:
     """Return what an allocation gives to the trainer: a resampler, or the importance of the scene's points
-    (n,3).
-
-    (None, None) for a configuration without allocation.
-    """
+    (n,3); (None, None) for a configuration without allocation."""
     allocation = config.allocation
     if allocation is None:
         return None, None
@@ -265,7 +262,8 @@ def run(
             for remark in subject.remarks(scene):
                 tell(remark)
         mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
-        term, _ = make_run_term(config, None, scene.points, bundle=bundle, strict=strict, tell=tell)
+        of_it, points = within(scene), scene.points
+        term, _ = make_run_term(config, None, points, bundle=bundle, strict=strict, tell=tell, within=of_it)
         target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
         resampler, importance = make_run_allocation(config, mesh, scene.points)
         cpu = time.process_time()
@@ -273,7 +271,7 @@ def run(
             scene,
             config,
             term=term,
-            evaluate=_evaluator(config, scene, target),
+            evaluate=_evaluator(config, scene, target, of_it),
             checkpoint=checkpoint,
             progress=progress,
             device=device,
@@ -317,13 +315,17 @@ def _in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[M
     return mesh, bundle
 
 
-def _evaluator(config: RunConfig, scene: Scene, target: Target | None) -> Callable[[Soup, int], dict]:
-    """Return what makes a dump of (soup, step): against the target, or alone where there is none."""
+def _evaluator(
+    config: RunConfig, scene: Scene, target: Target | None, of_it: Within | None
+) -> Callable[[Soup, int], dict]:
+    """Return what makes a dump of (soup, step): against the target, else of the subject alone."""
 
     def evaluate(soup: Soup, step: int) -> dict:
         corners, opacity = soup.vertices.detach().numpy(), soup.corner_opacity()
         if target is None:
             unit = frame_diagonal(scene.points)
+            kept = np.ones(len(soup), bool) if of_it is None else of_it(corners.mean(axis=1))
+            corners, opacity = corners[kept], opacity[kept]
             shown = evaluate_alone(corners, opacity, unit, config.samples, config.seed, step)
         else:
             shown = evaluate_soup(corners, opacity, target, config.seed, step)

@@ -109,7 +109,7 @@ def test_classes_are_pulled_up_to_the_clouds_deaths_and_no_further():
     statement = measured_on(cloud, Statement((1, 3, 1), frame_diagonal(cloud)), 2000)
     deaths = [np.sort(pairs.deaths)[::-1] for pairs in alpha_persistence(cloud / statement.diagonal)]
     assert np.allclose(statement.shown[1], deaths[1][:2]) and statement.shown[0] == statement.shown[2] == ()
-    sentences = unmeasured(statement, 2000)  # the void lies below a floor, the third loop is none
+    sentences = unmeasured(statement, 2000, 2000)  # the void lies below a floor, the third loop is none
     assert len(sentences) == 2 and "you said 3 loops; at M = 2000 the SfM cloud shows 2" in sentences[0]
     config = LossConfig("betti", betti=(1, 3, 1), aim="cloud", samples=2000)
     for scale, pulled in ((0.9, True), (1.1, False)):  # a soup with narrower loops, and one with wider ones
@@ -122,7 +122,11 @@ def test_classes_are_pulled_up_to_the_clouds_deaths_and_no_further():
         loss = plan.value(torch.from_numpy(scale * cloud / statement.diagonal)[plan.used])
         assert float(loss) == pytest.approx(((aims - lives) ** 2).sum(), rel=1e-6, abs=1e-12)
     fewer = measured_on(cloud, Statement((1, 1, 1), statement.diagonal), 2000)  # as a cloud with gaps
-    assert fewer.shown[1] is None and "shows more" in unmeasured(fewer, 2000)[0]
+    assert fewer.shown[1] is None and "shows more" in unmeasured(fewer, 2000, 2000)[0]
+    sparse = measured_on(cloud, statement, 2500)  # 2,000 points do not speak for 2,500
+    assert sparse.shown == (None,) * 3 and "2000 points" in unmeasured(sparse, 2500, 2000)[0]
+    plan = build_betti_plan(cloud / statement.diagonal, sparse, replace(config, samples=2500))
+    assert len(plan.used) == 0
     plan = build_betti_plan(cloud / statement.diagonal, fewer, replace(config, betti=(1, 1, 1)))
     assert len(plan.used) == 0 and plan.report["dimensions"]["1"]["surplus"] == 1
     with pytest.raises(InputError, match="condition T3"):

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 import trimesh
 
-from paper_artifact import cli
+from paper_artifact import cli, pipeline
+from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.frame import Frame
 from paper_artifact.mesh import load_mesh
 from paper_artifact.randomness import stream
+from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.cameras import look_at
+from paper_artifact.scene.colmap import read_model, write_model
+from paper_artifact.scene.folder import model_folder
+from paper_artifact.scene.load import load_scene
 from paper_artifact.scene.shapes import make_shape
-from paper_artifact.scene.subject import subject_of
+from paper_artifact.scene.subject import subject_of, within
 from paper_artifact.soup.state import Soup, save_soup
+from paper_artifact.topology import term
 from tests.test_solidify import soup_of
 
 MIDDLE, DISTANCE = np.array([1.0, -2.0, 0.5]), 4.0
@@ -129,3 +137,46 @@ def test_a_solid_is_in_the_users_coordinates(tmp_path, kind, offset, exponent):
         np.array_equal(there.faces, here.faces)
         and trimesh.Trimesh(there.vertices, there.faces, process=False).is_watertight
     )
+
+
+def test_stated_numbers_are_the_subjects_and_not_the_tables(tmp_path, monkeypatch):
+    """A sphere whose cloud has a plane below: samples, cloud and evaluation leave the plane out."""
+    folder = tmp_path / "ball"
+    build_scene(make_shape("sphere"), SceneConfig(views=11, size=44, supersample=2, points=400), folder)
+    assert within(load_scene(folder)) is None, "rendered: all is the subject's"
+    (folder / "scene.json").unlink()
+    assert within(load_scene(folder)) is None, "no ground"
+    model = read_model(model_folder(folder))
+    flat = np.column_stack([stream(2, "test").uniform(-1.5, 1.5, (900, 2)), np.full(900, -1.1)])
+    positions, count = np.concatenate([model.positions, flat]), len(model.positions) + 900
+    colours, errors = np.zeros((count, 3), np.uint8), np.zeros(count)
+    write_model(
+        replace(model, point_ids=np.arange(count), positions=positions, colours=colours, errors=errors),
+        model_folder(folder),
+    )
+    scene = load_scene(folder)
+    holds = within(scene)
+    assert holds(scene.points[-900:]).sum() == 0 and holds(scene.points[:-900]).mean() > 0.9
+    drawn, sample = [], term.sample_soup
+
+    def spy(vertices, alpha, *arguments):
+        drawn.append((vertices.mean(axis=1), alpha.mean(axis=1)))
+        return sample(vertices, alpha, *arguments)
+
+    def judged(corners, *arguments):
+        assert holds(corners.mean(axis=1)).all() and len(corners)
+        return evaluate(corners, *arguments)
+
+    evaluate = pipeline.evaluate_alone
+    monkeypatch.setattr(pipeline, "evaluate_alone", judged)
+    monkeypatch.setattr(term, "sample_soup", spy)
+    loss = {"betti": (1, 0, 1), "samples": 512}
+    values = {"steps": 24, "budget": 300, "samples": 400, "resample_every": 8, "dump_steps": (24,)}
+    said = []
+    config = study_config(str(folder), "T3", 0, loss=loss, **values)
+    record = pipeline.run(config, results=tmp_path / "results", device="cpu", tell=said.append)
+    for middles, alpha in drawn:
+        assert 0 < holds(middles).sum() < len(middles) and np.array_equal(alpha > 0, holds(middles))
+    assert drawn and any("points of the subject, too few to speak for M = 512" in each for each in said)
+    assert record["statement"]["shown"] == [None, None, None] and "lambda" not in str(record["topology"])
+    assert len(record["dumps"]) == 1

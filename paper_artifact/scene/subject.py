@@ -7,9 +7,10 @@ surface can be, as the outlines in many views allow (Laurentini, 1994); a cloud 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,11 @@ from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.folder import model_folder, scene_root
 
+if TYPE_CHECKING:
+    from paper_artifact.scene.load import Scene
+
 RADIUS = 0.6  # of the ball, in half widths of the picture at the subject's distance
+EDGE = 1.0  # of the ball that cuts nothing which the pictures show whole, in the same unit
 GROUND = 0.03  # what lies lower than this above the plane is ground, in the same unit; 0 keeps the ground
 PLANE = 0.01  # points this near to a plane are on it, in the same unit
 DRAWS = 1000  # planes through three points that are tried
@@ -50,6 +55,19 @@ def subject_of_scene(scene: Path | str, radius: float = RADIUS, ground: float = 
     for missing or damaged files."""
     model = read_model(model_folder(scene_root(scene)))
     return subject_of([model.camera(image) for image in model.images], model.positions, radius, ground)
+
+
+def within(scene: Scene) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return the function of points (…,3), world units of a run on `scene`, that says which of them are the
+    subject's, (…) bool; None where all are: rendered scenes, and photographs without a ground or without a
+    common point. The ball reaches to the pictures' edge, so that it cuts nothing that they show whole."""
+    if scene.rendered:
+        return None
+    try:
+        subject = subject_of_scene(scene.path, EDGE)
+    except InputError:  # cameras without a common point
+        return None
+    return None if np.isinf(subject.lowest) else lambda points: subject.holds(scene.frame.outward(points))
 
 
 def subject_of(

@@ -100,8 +100,10 @@ def frame_diagonal(points: np.ndarray) -> float:
 
 def measured_on(points: np.ndarray, statement: Statement, samples: int) -> Statement:
     """Return the statement with what M = `samples` of the cloud `points` (n,3), world units, show of it above
-    one floor. A cloud that shows more than stated, as one with gaps does, measures nothing in that dimension.
-    Raises InputError as `alpha_persistence` does."""
+    one floor. A cloud that shows more than stated, as one with gaps does, measures nothing in that dimension,
+    one of fewer than ENOUGH · M points nothing at all. Raises InputError as `alpha_persistence` does."""
+    if len(points) < ENOUGH * samples:
+        return replace(statement, shown=(None, None, None))
     cloud = drawn(points, samples) / statement.diagonal
     floor, pairs = measurement_floor(cloud, 1.0), alpha_persistence(cloud, as_given=True)
     shown: list[tuple[float, ...] | None] = []
@@ -112,8 +114,14 @@ def measured_on(points: np.ndarray, statement: Statement, samples: int) -> State
     return replace(statement, shown=tuple(shown))
 
 
-def unmeasured(statement: Statement, samples: int) -> list[str]:
-    """Return one sentence for each dimension of which the SfM cloud does not show what is stated."""
+def unmeasured(statement: Statement, samples: int, count: int) -> list[str]:
+    """Return one sentence for each dimension of which the SfM cloud does not show what is stated; one for all
+    where its `count` points do not speak for M = `samples`."""
+    if count < ENOUGH * samples:
+        return [
+            f"the SfM cloud has {count} points of the subject, too few to speak for M = {samples}: the loss "
+            "leaves all to the images; add photographs, or lower M (--loss samples=...)"
+        ]
     found = []
     for dimension, shown in enumerate(statement.shown or ()):
         said = f"you said {_counted(statement.betti[dimension], dimension)}; at M = {samples} the SfM cloud"

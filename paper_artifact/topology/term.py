@@ -48,6 +48,7 @@ from paper_artifact.topology.statement import (
     unseen,
 )
 
+Within = Callable[[np.ndarray], np.ndarray]  # of points (n,3), world units: which count, (n,) bool
 # ‖∇V L_topo‖ ÷ ‖∇V L_photo‖ at calibration below which no weight is set: a term whose gradient is rounding
 # alone would get λ = 5e14. The smallest ratio of the recorded runs is 1.3e-3 (torus, C6, seed 3).
 LEAST_RATIO = 1e-5
@@ -85,11 +86,18 @@ class FrozenSamples:
 
 
 def draw_samples(
-    vertices: Tensor, opacity: Tensor | None, count: int, generator: np.random.Generator
+    vertices: Tensor,
+    opacity: Tensor | None,
+    count: int,
+    generator: np.random.Generator,
+    within: Within | None = None,
 ) -> FrozenSamples:
-    """Return `count` samples drawn with density α × area on a soup; arguments and errors of `sample_soup`, as
-    tensors on any device."""
+    """Return `count` samples drawn with density α × area on a soup, `within` of its triangles' middles;
+    arguments and errors of `sample_soup`, as tensors on any device."""
     alpha = None if opacity is None else opacity.detach().cpu().numpy()
+    if within is not None:
+        held = within(vertices.detach().cpu().numpy().mean(axis=1))
+        alpha = held[:, None] * (np.ones(3) if alpha is None else alpha)
     _, faces, barycentrics = sample_soup(vertices.detach().cpu().numpy(), alpha, count, generator)
     return FrozenSamples(torch.from_numpy(faces), torch.from_numpy(barycentrics), len(vertices))
 
@@ -114,9 +122,10 @@ class TopologyTerm:
     lambda_peak: the calibrated weight, None before. log: JSON-able dicts, one per refresh ("event":
     "refresh"), one for λ ("event": "lambda"), one per plan and reason at which no weight could be set
     ("event": "no-op", "reason"), and for a statement its audits, the first before any gradient ("event":
-    "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a
-    Statement for the kind "betti", else a bundle. tell: is called with each warning and note; strict: a
-    warning is an InputError. Raises InputError when the target's density is not the loss's.
+    "audit"; "warnings": what contradicts it; "notes": what does not show yet). target: a Statement for the
+    kind "betti", else a bundle. within: only triangles with their middle there are sampled. tell: is called
+    with each warning and note; strict: a warning is an InputError. Raises InputError when the target's
+    density is not the loss's.
     """
 
     def __init__(
@@ -128,6 +137,7 @@ class TopologyTerm:
         *,
         strict: bool = False,
         tell: Callable[[str], None] | None = None,
+        within: Within | None = None,
     ) -> None:
         if (config.kind == "betti") != isinstance(target, Statement):
             raise InputError(f"the loss kind {config.kind!r} does not act towards a {type(target).__name__}")
@@ -137,7 +147,7 @@ class TopologyTerm:
             )
         target.require_density(config.samples)
         self.config, self.target, self.steps, self.seed = config, target, steps, seed
-        self.strict, self.tell = strict, tell
+        self.strict, self.tell, self.within = strict, tell, within
         self.lambda_peak: float | None = None
         self.log: list[dict] = []
         self._objective: Objective | None = None
@@ -163,7 +173,8 @@ class TopologyTerm:
         vertices (T,3,3) world units; opacity (T,3) in [0,1], or None for 1. Raises InputError for NaN or a
         soup without visible area, and with `strict` for a contradiction.
         """
-        samples = draw_samples(vertices, opacity, self.config.samples, samples_stream(self.seed, step - 1))
+        stream = samples_stream(self.seed, step - 1)
+        samples = draw_samples(vertices, opacity, self.config.samples, stream, self.within)
         kind = Repulsion if self.config.kind == "repulsion" else Persistence
         self._objective = kind(self, step, samples, vertices.detach())
         self._refreshed, self._resampled = step, False
@@ -193,10 +204,7 @@ class TopologyTerm:
         return (self.lambda_peak * factor * self._objective.value(vertices)).to(vertices)
 
     def state(self) -> dict:
-        """Return what a resumed run needs (JSON-able).
-
-        Exact at a step where a refresh is due, as after every resampling.
-        """
+        """Return what a resumed run needs (JSON-able), exact where a refresh is due."""
         return {"lambda_peak": self.lambda_peak, "log": list(self.log)}
 
     def load_state(self, state: dict) -> None:
@@ -206,10 +214,7 @@ class TopologyTerm:
 
     def _audit(self, step: int, statement: Statement, report: dict) -> None:
         """Log and tell what contradicts the statement and what does not show yet: at the first refresh, and
-        at every `AUDIT_EVERY`th until something does.
-
-        Raises InputError for a contradiction when strict.
-        """
+        at every `AUDIT_EVERY`th until something does, which is an InputError when strict."""
         earlier = [event for event in self.log if event["event"] == "audit"]
         refreshes = sum(event["event"] == "refresh" for event in self.log)
         if (refreshes - 1) % AUDIT_EVERY or any(event["warnings"] for event in earlier):
@@ -295,37 +300,38 @@ def statement_term(
     *,
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
+    within: Within | None = None,
 ) -> TopologyTerm:
     """Return the term of stated Betti numbers in a run of `steps` steps.
 
-    points (P,3): the SfM cloud, world units. A density chosen from it, cleaned, is logged ("event":
-    "density"). strict, tell: see `TopologyTerm`. Raises InputError as `frame_diagonal`, `cleaned` and
-    `choose_density` do.
+    points (P,3): the SfM cloud, world units; only what is `within` is asked. A density chosen from it,
+    cleaned, is logged ("event": "density"). strict, tell, within: see `TopologyTerm`. Raises InputError as
+    `frame_diagonal`, `cleaned` and `choose_density` do.
     """
     statement = Statement(loss.betti or (), frame_diagonal(points))
+    points = points if within is None else points[within(points)]
+    points = cleaned(points) if len(points) > 3 else points
     log: list[dict] = []
+    said: list[str] = []
     if loss.samples == 0:
-        density = choose_density(cleaned(points), statement, loss)
+        density = choose_density(points, statement, loss)
         loss, log = replace(loss, samples=density.samples), [{"event": "density", **density.to_json()}]
-        if tell is not None:
-            for reason in density.reasons:
-                tell(reason)
+        said += density.reasons
     if loss.aim == "cloud":
-        statement = measured_on(cleaned(points), statement, loss.samples)
-        if tell is not None:
-            for sentence in unmeasured(statement, loss.samples):
-                tell(sentence)
-    term = TopologyTerm(loss, replace(statement, samples=loss.samples), steps, seed, strict=strict, tell=tell)
+        statement = measured_on(points, statement, loss.samples)
+        said += unmeasured(statement, loss.samples, len(points))
+    if tell is not None:
+        for each in said:
+            tell(each)
+    statement = replace(statement, samples=loss.samples)
+    term = TopologyTerm(loss, statement, steps, seed, strict=strict, tell=tell, within=within)
     term.log += log
     return term
 
 
 def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> float:
-    """Return the factor in [0, 1] of λ at `step` of `steps`.
-
-    0 up to window[0]·steps, 1 from window[1]·steps, linear between. window None (condition C3, no ramp): 1 at
-    every step.
-    """
+    """Return the factor in [0, 1] of λ at `step` of `steps`: 0 up to window[0]·steps, 1 from window[1]·steps,
+    linear between; 1 at every step for window None (condition C3, no ramp)."""
     if window is None:
         return 1.0
     start, end = window
@@ -333,10 +339,8 @@ def ramp_factor(step: int, steps: int, window: tuple[float, float] | None) -> fl
 
 
 def peak_weight(rho: float, photo_norm: float, topo_norm: float) -> float | None:
-    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where `no_weight` has a reason against it.
-
-    None is a stated no-op: the term stays out of this step, the log says so, and the next step tries again.
-    """
+    """Return λ_peak = ρ ‖∇V L_photo‖ / ‖∇V L_topo‖, or None where `no_weight` has a reason against it: the
+    term stays out of this step, the log says so, and the next step tries again."""
     return None if no_weight(rho, photo_norm, topo_norm) else rho * photo_norm / topo_norm
 
 
