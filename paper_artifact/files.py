@@ -210,7 +210,7 @@ def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
             f"{foreign} is there and was not written by this command; choose a new or an empty folder"
         )
     for name, digest in (before or {}).items():
-        if digest and (path := inside(folder, name)).is_file() and _sha256(path) != digest:
+        if digest and (path := inside(folder, name)).is_file() and _sha256(path) not in digest.split():
             raise InputError(
                 f"{path} was changed since this command wrote it; move it elsewhere, or choose another folder"
             )
@@ -224,9 +224,11 @@ def _sha256(path: Path) -> str:
 def _move_in(new: Path, folder: Path, part: str) -> None:
     made = {path.relative_to(new).as_posix(): _sha256(path) for path in new.rglob("*") if path.is_file()}
     parts = listed(folder)
-    gone = {*parts.pop(part, ())} - {*made}.union(*parts.values())
-    # A kill from here on loses no name; which of two contents a file then has is not known.
-    write_json(folder / MANIFEST, parts | {part: dict.fromkeys({*made, *gone}, "")})
+    before = parts.pop(part, {})
+    gone = {*before} - {*made}.union(*parts.values())
+    # A kill from here on leaves each file with the old content or with the new one: both are listed.
+    both = {name: old and f"{old} {made.get(name, '')}" for name, old in before.items()}
+    write_json(folder / MANIFEST, parts | {part: made | both})
     for name in made:
         target = inside(folder, name)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -282,7 +284,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 `text`, half letters as \\udcff, to `path` as `write_bytes` does."""
+    """Write UTF-8 `text`, half letters as \\udcff, as `write_bytes` does."""
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
@@ -292,10 +294,8 @@ def write_json(path: Path | str, value: Any) -> None:
 
 
 def load_json(path: Path | str) -> Any:
-    """Return what the JSON file at `path` holds.
-
-    Raises OSError when it cannot be read, ValueError when it is damaged, holds NaN or is nested too deeply.
-    """
+    """Return what the JSON file at `path` holds. Raises OSError when it cannot be read, ValueError when it is
+    damaged, holds NaN or is nested too deeply."""
     try:
         return json.loads(decoded(plain(path).read_bytes()), parse_constant=_refuse_constant)
     except RecursionError as error:

@@ -114,9 +114,9 @@ def execute(
     figures in `figures`.
 
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
-    error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran. Call
-    inside `own_kernel`. Raises InputError for an unknown profile, a folder that cannot be written, and, in
-    another folder than EXECUTED, a notebook of this name that no execution wrote.
+    error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran and the
+    notebook is as it was. Call inside `own_kernel`. Raises InputError for an unknown profile, a folder that
+    cannot be written, and, in another folder than EXECUTED, a notebook of this name that no execution wrote.
     """
     import papermill
     from papermill.exceptions import PapermillExecutionError
@@ -127,6 +127,7 @@ def execute(
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, failure = time.monotonic(), ""
     try:
+        before = path.read_bytes()
         with figures_of(path, figures), renewed_folder(executed, path.name, guarded) as new:
             try:
                 notebook = papermill.execute_notebook(
@@ -140,7 +141,9 @@ def execute(
                 )
             except PapermillExecutionError as caught:
                 failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
-        if refresh and not failure:
+        if refresh and not failure and path.read_bytes() != before:
+            failure = "it was changed while it ran, and is left as it is; refresh it again"
+        elif refresh and not failure:
             write_text(path, nbformat.writes(cleaned(notebook)) + "\n")
     except InputError:
         raise

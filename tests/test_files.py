@@ -139,6 +139,27 @@ def test_a_file_that_comes_while_a_command_works_is_not_replaced(tmp_path):
         (tmp_path / "mine").unlink()
 
 
+def test_a_name_that_a_failed_command_claimed_is_still_the_users(tmp_path, monkeypatch):
+    renew(tmp_path, "a")
+    replace = os.replace
+
+    def failing(old: Path, new: Path) -> None:
+        replace(tmp_path / "absent" if Path(old).parent.name == "new" else old, new)
+
+    with pytest.raises(InputError), monkeypatch.context() as patch:
+        patch.setattr(os, "replace", failing)
+        renew(tmp_path, "a", "b")
+    for name, theirs in (("a", "a"), ("b", "")):  # what the first call wrote, or nothing
+        assert (tmp_path / name).exists() == bool(theirs)
+        write_text(tmp_path / name, "precious")
+        with pytest.raises(InputError, match="was changed since this command wrote it"):
+            renew(tmp_path, "a", "b")
+        assert (tmp_path / name).read_text() == "precious"
+        (tmp_path / name).unlink()
+    renew(tmp_path, "a", "b")
+    assert files_in(tmp_path) == {"a", "b"}
+
+
 @pytest.mark.parametrize("listed", ["[", '{"book": ["../mine"]}', '{"book": 3}', '{"book": [3]}', "[]"])
 def test_a_manifest_that_lies_removes_nothing_outside(tmp_path, listed):
     write_text(tmp_path / "mine", "precious")
@@ -231,6 +252,17 @@ def test_a_name_that_no_file_can_have_is_a_sentence(tmp_path):
         write_text(tmp_path / ("x" * 300), "a")
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a"):
         (tmp_path / "absent").read_bytes()
+
+
+def test_a_scene_takes_the_place_behind_a_link_and_not_that_of_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    build_scene(make_shape("cube"), TINY, tmp_path / "link")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "real" / "scene.json").is_file()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(InputError, match="is the current folder or a mount point; name a folder in it"):
+        build_scene(make_shape("cube"), TINY, Path("."))
 
 
 def build(folder: str) -> str:

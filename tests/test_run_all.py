@@ -96,6 +96,16 @@ def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
     assert outcome.error.startswith("cell 3: ZeroDivisionError")
 
 
+def test_refresh_leaves_what_was_edited_meanwhile(tmp_path):
+    """As an editor that saves while the notebook runs: its first cell writes to the notebook itself."""
+    path = tmp_path / "01_edited.ipynb"
+    write_notebook(path, f"with open({str(path)!r}, 'a') as file:\n    file.write(' ')")
+    before = path.read_bytes()
+    with own_kernel():
+        outcome = execute(path, "recorded", executed=tmp_path / "out", refresh=True, quiet=True)
+    assert path.read_bytes() == before + b" " and "changed while it ran" in outcome.error
+
+
 def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     path = write_notebook(
         tmp_path / "01_drawn.ipynb",

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import clear_partials, inside, load_json, partial_folder, write_failure
+from paper_artifact.files import clear_partials, inside, load_json, partial_folder, plain, write_failure
 from paper_artifact.formats.named import find_file
 from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
@@ -179,9 +179,13 @@ def whole_folder(folder: Path, key: str) -> Iterator[Path]:
     removed otherwise.
 
     Where another process made the scene of the same key meanwhile, that one stays. Raises InputError when it
-    cannot be written, or when anything else appeared at `folder`.
+    cannot be written, for the current folder or a mount point, whose place nothing can take, or when anything
+    else appeared at `folder`.
     """
     try:
+        folder = plain(folder)
+        if os.path.ismount(folder) or folder == Path.cwd():
+            raise InputError(f"{folder} is the current folder or a mount point; name a folder in it")
         with partial_folder(folder.parent) as held:
             (temporary := held / folder.name).mkdir()
             yield temporary
