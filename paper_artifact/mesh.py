@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 import zipfile
 from collections.abc import Sequence
@@ -132,6 +133,8 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     Raises InputError for a missing, unreadable, truncated or foreign file, for a part of a format that is not
     read, and for what `checked_mesh` refuses.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"a mesh is named by its file's path, not by {path!r:.60}")
     path = Path(path)
     if not isfile(path):  # False for a name that is too long
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")

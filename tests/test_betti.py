@@ -336,8 +336,18 @@ def test_where_no_density_shows_the_classes_it_says_so():
     assert found.reasons[-1] == (
         "No density shows all of them; M = 2048 shows most (M = 16384 not asked: the cloud has 9000 points)."
     )
-    with pytest.raises(InputError, match="needs an SfM cloud of at least 1843 points, got 1000"):
-        chosen("sphere", (1, 0, 1), count=1000)
+    assert chosen("sphere", (1, 0, 1), count=1000).reasons == (
+        "The cloud has 1000 points, too few to choose M by: M = 2048.",
+    )
+
+
+def test_a_class_is_reached_where_the_loss_acts_on_it():
+    """T3 acts on what the cloud shows above one floor, T1 on what exceeds half of it."""
+    seen, reached = (chosen("torus", (1, 2, 1), aim=aim) for aim in ("deaths", "cloud"))
+    assert seen.samples < reached.samples and "exceed 1 of the floor" in reached.reasons[-1]
+    cloud = cloud_of("torus", 9000)
+    statement = measured_on(cloud, Statement((1, 2, 1), frame_diagonal(cloud)), reached.samples)
+    assert [len(each) for each in statement.shown] == [0, 2, 1]
 
 
 @pytest.mark.parametrize(

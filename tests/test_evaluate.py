@@ -163,3 +163,7 @@ def test_evaluate_samples_refuses_diverged_samples():
     samples[7, 1] = np.nan
     with pytest.raises(InputError):
         evaluate_samples(samples, target)
+    with pytest.raises(InputError, match="beyond 1e\\+150; scale both samples"):
+        point_distances(1e300 * target.samples, target.samples, 1.0)
+    with pytest.raises(InputError, match="the points of the first sample are not numbers"):
+        point_distances([["a", "b", "c"]], target.samples, 1.0)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.image import image_scores, psnr, ssim
@@ -64,3 +65,7 @@ def test_refuses_images_that_do_not_match():
         ssim(image[:10], image[:10])
     with pytest.raises(InputError, match="n > 0"):
         image_scores(np.zeros((0, 12, 12, 3)), np.zeros((0, 12, 12, 3)))
+    for wrong in (image * 1j, np.full((12, 12, 3), "a")):
+        with pytest.raises(InputError, match="the images are not numbers"):
+            psnr(wrong, image)
+    assert psnr(torch.zeros(12, 12, 3, dtype=torch.bfloat16, requires_grad=True), image) == pytest.approx(100)

@@ -103,6 +103,9 @@ def test_a_mesh_outside_the_study_gets_the_density_of_the_audits_rule(tmp_path, 
         assert audited(own, given) is own
     for untouched in (study_config("sphere", "C1"), study_config(paths[0])):
         assert audited(untouched, ()) is untouched
+    stated = study_config(paths[0], "T3", loss={"betti": (1, 0, 1)})
+    assert audited(stated, ()).loss.samples == 0, "the cloud says, when the run starts"
+    assert audited(stated, ["samples"]) is stated
     with pytest.raises(InputError, match="is measurable at M = 2048 or 8192: .* Train it with condition C0"):
         audited(study_config(paths[1], "C2"), ())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -97,6 +97,8 @@ def audit_mesh(
     `first_seed` on; the decision and the bundle are first_seed's; progress: called with a line before each
     measurement. Raises InputError for a mesh without area or densities below 16.
     """
+    if not all(isinstance(each, Iterable) for each in (densities, working)):
+        raise InputError(f"densities and working are lists of M, got {densities!r:.60} and {working!r:.60}")
     smallest = min((*densities, *working))
     if smallest < FEWEST or seeds < 1 or first_seed < 0:
         raise InputError(

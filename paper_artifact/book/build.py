@@ -329,7 +329,10 @@ class Pages:
             image = f'<a href="{link}"><img src="{link}" alt="{escape(file)}"></a>'
             notebook.cells[cell].outputs[output]["data"] = {"text/html": image}
         for cell in notebook.cells:
+            cell["metadata"] = {}  # and an output's: a template may write them into attributes as they are
             for each in cell.get("outputs", ()):
+                if "metadata" in each:
+                    each["metadata"] = {}
                 if "text/html" in (data := each.get("data", {})):  # pandas' own style, scoped to nothing
                     text = "".join(data["text/html"])
                     data["text/html"] = re.sub(r"<style scoped>.*?</style>", "", text, flags=re.DOTALL)

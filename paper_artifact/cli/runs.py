@@ -94,15 +94,18 @@ class Train(OwnSceneOptions):
 def audited(config: RunConfig, given: Iterable[str]) -> RunConfig:
     """Return `config` with the M and the dimensions that the audit's rule finds for a mesh outside the study.
 
-    Unchanged for a shape of the study, for a loss without a target bundle, and where samples or dimensions
-    are among the loss settings `given`. Of a scene, its target's mesh decides; a bundle has both. Says why on
-    stderr. Raises InputError when nothing is measurable.
+    Unchanged for a shape of the study, for no loss, and where samples or dimensions are among the loss
+    settings `given`. Of a scene, its target's mesh decides; a bundle has both. For stated Betti numbers the M
+    is left to the SfM cloud (`choose_density`). Says why on stderr. Raises InputError when nothing is
+    measurable.
     """
     loss, chosen = config.loss, {"samples", "dimensions"} & {*given}
     shape = config.shape if config.given is None else config.given.target
-    if loss is None or loss.kind == "betti" or chosen or shape is None or shape.endswith(".json"):
+    if loss is None or (shape is not None and shape_row(shape)):
         return config
-    if shape_row(shape):
+    if loss.kind == "betti":
+        return config if "samples" in chosen else replace(config, loss=replace(loss, samples=0))
+    if chosen or shape is None or shape.endswith(".json"):
         return config
     from paper_artifact.audit.measure import audit_mesh
     from paper_artifact.audit.rule import WORKING

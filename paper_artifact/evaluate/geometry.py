@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, as_numbers
 from paper_artifact.topology.floor import check_diagonal
+
+LARGEST = 1e150  # of a coordinate: squares of distances stay finite
 
 
 def chamfer_sum(a: np.ndarray, b: np.ndarray, diagonal: float) -> float:
@@ -27,8 +29,8 @@ def point_distances(a: np.ndarray, b: np.ndarray, diagonal: float) -> dict[str, 
     chamfer: MEAN of the two directions' mean nearest distances (Table 1, ×100 for percent); chamfer_sum:
     their SUM (Table S1); hausdorff95: the larger of the two directions' 95th percentiles, interpolated
     linearly. The paper names Hausdorff95 without a formula (§2, Table S1); this is the definition common in
-    segmentation. Raises InputError for an empty sample, a coordinate that is not finite, or a diagonal that
-    is not positive.
+    segmentation. Raises InputError for an empty sample, what is no number, finite or at most LARGEST, or a
+    diagonal that is not positive.
     """
     a, b = _checked(a, "first"), _checked(b, "second")
     check_diagonal(diagonal)
@@ -43,13 +45,15 @@ def point_distances(a: np.ndarray, b: np.ndarray, diagonal: float) -> dict[str, 
 
 
 def _checked(points: np.ndarray, which: str) -> np.ndarray:
-    points = np.asarray(points, dtype=np.float64)
+    points = as_numbers(points, f"the points of the {which} sample", "give (n, 3)").astype(np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise InputError(f"the {which} sample must have shape (n, 3) with n > 0, got {points.shape}")
     if not np.isfinite(points).all():
         raise InputError(
             f"the {which} sample holds a coordinate that is not finite; the run that made it has diverged"
         )
+    if np.abs(points).max() > LARGEST:
+        raise InputError(f"the {which} sample has a coordinate beyond {LARGEST:g}; scale both samples")
     return points
 
 

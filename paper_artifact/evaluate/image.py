@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from paper_artifact.arithmetic import log
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, as_numbers
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup, render_views
 from paper_artifact.ssim import RADIUS, WINDOW, gaussian_window, similarity
@@ -45,7 +45,7 @@ def image_scores(images: np.ndarray, truth: np.ndarray) -> dict:
     The mean PSNR is the mean of the views' dB values, the habit of the radiance-field literature.
     Raises InputError for no views or differing shapes.
     """
-    images, truth = np.asarray(images), np.asarray(truth)
+    images, truth = (as_numbers(each, "the images", "give (n,H,W,3)") for each in (images, truth))
     if images.shape != truth.shape or images.ndim != 4 or not len(images):
         raise InputError(
             f"image stacks must be equal and (n,H,W,3) with n > 0, got {images.shape} and {truth.shape}"
@@ -72,7 +72,9 @@ def view_scores(soup: Soup, scene: Scene, views: np.ndarray, supersample: int = 
 
 
 def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    image, truth = np.asarray(image, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    image, truth = (
+        as_numbers(each, "the images", "give (H,W,3)").astype(np.float64) for each in (image, truth)
+    )
     if image.shape != truth.shape or image.ndim != 3:
         raise InputError(
             f"the two images must have one shape (H,W,channels), got {image.shape} and {truth.shape}"

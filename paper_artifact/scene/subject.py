@@ -60,14 +60,22 @@ def subject_of_scene(scene: Path | str, radius: float = RADIUS, ground: float = 
 def within(scene: Scene) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return the function of points (…,3), world units of a run on `scene`, that says which of them are the
     subject's, (…) bool; None where all are: rendered scenes, and photographs without a ground or without a
-    common point. The ball reaches to the pictures' edge, so that it cuts nothing that they show whole."""
+    common point. The ball reaches to the pictures' edge, so that it cuts nothing that they show whole. Points
+    of which it holds none, as of a flat wall, all count."""
     if scene.rendered:
         return None
     try:
         subject = subject_of_scene(scene.path, EDGE)
     except InputError:  # cameras without a common point
         return None
-    return None if np.isinf(subject.lowest) else lambda points: subject.holds(scene.frame.outward(points))
+    if np.isinf(subject.lowest):
+        return None
+
+    def holds(points: np.ndarray) -> np.ndarray:
+        held = subject.holds(scene.frame.outward(points))
+        return held if held.any() else ~held
+
+    return holds
 
 
 def subject_of(

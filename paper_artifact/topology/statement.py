@@ -15,6 +15,7 @@ instead also draws the points together along the surface: the floor falls, and n
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -229,21 +230,21 @@ def densities_of(points: np.ndarray) -> list[int]:
 
 
 def choose_density(points: np.ndarray, statement: Statement, config: LossConfig) -> Density:
-    """Return the smallest of DENSITIES at which the cloud `points` (n,3), world units, shows all wanted
-    classes.
+    """Return the smallest of DENSITIES at which the loss reaches all wanted classes of the cloud `points`
+    (n,3), world units.
 
-    Shows: the k-th longest bar exceeds guard · floor (guard 0: noise_level). Where no density shows all, the
-    one that shows most is taken, the smallest of those. The draw of M points is a function of M alone, so all
-    seeds of a shape get one M; a cloud of fewer than M but ENOUGH · M points is taken whole, one of fewer not
-    asked about M. Raises InputError for a cloud too small for the smallest density, or bad points.
+    Reaches: the k-th longest bar exceeds what the loss acts on, one floor for aim "cloud", else guard · floor
+    (guard 0: noise_level). Where no density does for all, the one for most is taken, the smallest of those.
+    The draw of M points is a function of M alone, so all seeds of a shape get one M; a cloud of fewer
+    than M but ENOUGH · M points is taken whole, one of fewer not asked about M, and one too small for the
+    smallest density gets that one. Raises InputError for bad points.
     """
     points, level = np.asarray(points, dtype=np.float64), noise_level(config)
+    level = 1.0 if config.aim == "cloud" else level
     able = densities_of(points)
     if not able:
-        raise InputError(
-            f"samples=auto needs an SfM cloud of at least {round(ENOUGH * DENSITIES[0])} points, got "
-            f"{len(points)}; give the number, for example --loss samples={DENSITIES[0]}"
-        )
+        said = f"The cloud has {len(points)} points, too few to choose M by: M = {DENSITIES[0]}."
+        return Density(DENSITIES[0], False, (said,))
     dimensions = [d for d in config.dimensions or (0, 1, 2) if statement.wanted[d]]
     if not dimensions:
         return Density(able[0], True, (f"The statement names no class to be seen: M = {able[0]}.",))
@@ -264,6 +265,16 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
     if too_dense := [samples for samples in DENSITIES if samples not in able]:
         asked += f" (M = {', '.join(map(str, too_dense))} not asked: the cloud has {len(points)} points)"
     return Density(best, False, (*reasons, f"{asked}."))
+
+
+def cost(points: np.ndarray, config: LossConfig, steps: int) -> str:
+    """Return the CPU seconds that the loss's plans take in a run of `steps` steps, as a sentence: one is
+    timed on the cloud `points` (n,3)."""
+    begin = time.process_time()
+    alpha_persistence(drawn(points, config.samples), as_given=True)
+    seconds, active = time.process_time() - begin, 1 - config.ramp[0] if config.ramp else 1.0
+    plans = round(active * steps / config.refresh_every)
+    return f"{plans} plans at M = {config.samples} take about {plans * seconds:.0f} s here."
 
 
 @dataclass(frozen=True)

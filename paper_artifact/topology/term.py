@@ -42,6 +42,7 @@ from paper_artifact.topology.statement import (
     choose_density,
     cleaned,
     contradictions,
+    cost,
     frame_diagonal,
     measured_on,
     unmeasured,
@@ -316,7 +317,7 @@ def statement_term(
     if loss.samples == 0:
         density = choose_density(points, statement, loss)
         loss, log = replace(loss, samples=density.samples), [{"event": "density", **density.to_json()}]
-        said += density.reasons
+        said += [*density.reasons, *([] if tell is None else [cost(points, loss, steps)])]
     if loss.aim == "cloud":
         statement = measured_on(points, statement, loss.samples)
         said += unmeasured(statement, loss.samples, len(points))
