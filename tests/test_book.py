@@ -210,11 +210,11 @@ def test_no_script_of_a_notebook_reaches_its_page(tmp_path):
     evil = "<script>alert(1)</script><img src=x onerror=alert(2)><a href='javascript:alert(3)'>l</a>"
     evil += "<iframe src=x></iframe>"
     made.cells[0].source += "\n\n" + evil
-    wide = f'">{evil}'
+    wide = {"image/jpeg": {"width": f'">{evil}'}}
     made.cells[1].outputs = [
         nbformat.v4.new_output("display_data", {"text/html": evil + "<svg onload=alert(4)></svg>"}),
         nbformat.v4.new_output("display_data", {"application/javascript": "alert(5)"}),
-        nbformat.v4.new_output("display_data", {"image/jpeg": "AAAA"}, metadata={"image/jpeg": {"width": wide}}),
+        nbformat.v4.new_output("display_data", {"image/jpeg": "AAAA"}, metadata=wide),
         nbformat.v4.new_output("display_data", {"image/svg+xml": "<svg xmlns='http://www.w3.org/2000/svg'><script>alert(6)</script></svg>"}),
     ]  # fmt: skip
     nbformat.write(made, path)
