@@ -273,6 +273,14 @@ def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
     (own / "masks" / plain.names[3]).unlink()
     with pytest.raises(InputError, match="has no mask for view_003.png"):
         load_scene(own)
+    for name in plain.names:  # transparent where the other masks were black
+        clear = Image.new("RGBA", (44, 44), "white")
+        clear.putalpha(Image.fromarray(mask))
+        clear.save(own / "masks" / name)
+    np.testing.assert_array_equal(load_scene(own, background="#0080ff").images, masked.images)
+    Image.fromarray(mask // 255).save(own / "masks" / plain.names[3])
+    with pytest.raises(InputError, match="has values up to 1; save what counts as white, 255"):
+        load_scene(own)
     Image.new("L", (9, 9)).save(own / "masks" / plain.names[3])
     with pytest.raises(InputError, match="9×9 pixels, its photograph 44×44"):
         load_scene(own)

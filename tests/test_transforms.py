@@ -265,6 +265,11 @@ def test_outlines_that_contradict_one_another_and_opaque_images(folder, tmp_path
     with pytest.raises(InputError, match="leave no room"):
         transforms_scene(changed(folder, frames=content["frames"]), tmp_path / "bad")
     (tmp_path / "train").mkdir()
+    clear = json.loads((folder / "transforms.json").read_text())
+    Image.new("RGBA", (60, 60)).save(folder / "train" / "clear.png")  # a view that shows nothing
+    clear["frames"][3]["file_path"] = "train/clear"
+    with pytest.raises(InputError, match="leave no room"):
+        transforms_scene(changed(folder, frames=clear["frames"]), tmp_path / "bad")
     for index in range(VIEWS):
         with Image.open(folder / "train" / f"r_{index}.png") as image:
             image.convert("RGB").save(tmp_path / "train" / f"r_{index}.png")

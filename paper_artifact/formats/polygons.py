@@ -115,8 +115,8 @@ def read_stl(data: bytes) -> Triangles:
         if len(data) < 84 + 50 * count:
             held = max(0, len(data) - 84) // 50
             raise ValueError(f"cut off: it declares {count} triangles, and has bytes for {held}")
-        if count == 0 and len(data) >= 134:
-            raise ValueError("it declares 0 triangles, and more bytes follow")
+        if len(data) >= 84 + 50 * (count + 1):
+            raise ValueError(f"it declares {count} triangles, and {len(data) - 84 - 50 * count} bytes follow")
         layout = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("colour", "<u2")])
         points = np.frombuffer(data, layout, count, 84)["points"].astype(np.float64).reshape(-1, 3)
     return points, np.arange(len(points)).reshape(-1, 3)
@@ -148,9 +148,7 @@ def read_ply(data: bytes) -> Triangles:
 
 def read_ply_elements(data: bytes) -> dict[str, dict]:
     """Return what a PLY file holds: element → property → (n,) array, or (values, (n,) sizes) of a list.
-
-    Raises ValueError for a damaged file.
-    """
+    Raises ValueError for a damaged file."""
     end = rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)"
     header = re.match(rb"(?:\xef\xbb\xbf)?\s*ply\s.*?" + end, data, re.DOTALL)
     if header is None:
@@ -180,32 +178,34 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     else:
         raise ValueError(f"its format is {form!r}")
     found = {name: _rows(stream, count, columns) for name, count, columns in elements}
-    if isinstance(stream, _Words) and stream.place != len(stream.words):
-        raise ValueError(f"it holds {len(stream.words) - stream.place} numbers more than it declares")
+    left = stream.data[stream.place :]
+    if len(left := left.strip(b"\r\n") if isinstance(left, bytes) else left):
+        unit = "bytes" if isinstance(left, bytes) else "numbers"
+        raise ValueError(f"it holds {len(left)} {unit} more than it declares")
     return found
 
 
 class _Words:
     """The numbers of a text, taken in order as float64; a whole number must fit its declared type."""
 
-    def __init__(self, words: np.ndarray) -> None:
-        self.words, self.place = words, 0
+    def __init__(self, data: np.ndarray) -> None:
+        self.data, self.place = data, 0
 
     def take(self, count: int, kinds: list[str]) -> list[np.ndarray]:
         """Return `count` rows as a column per kind."""
         end = self.place + count * len(kinds)
-        if end > len(self.words):
+        if end > len(self.data):
             raise ValueError("cut off: it holds fewer numbers than it declares")
-        table = self.words[self.place : end].reshape(count, len(kinds))
-        for column, kind in zip(table.T, kinds, strict=True):
-            if kind[0] not in "iu":
-                continue
-            least, most = np.iinfo(kind).min, np.iinfo(kind).max
-            wrong = column[(column != np.rint(column)) | (column < least) | (column > most)]
-            if len(wrong):
-                raise ValueError(f"{wrong[0]:g} is no whole number from {least} to {most}, as its type says")
+        table = self.data[self.place : end].reshape(count, len(kinds))
+        for column, kind in zip(table.T, map(np.dtype, kinds), strict=True):
+            if kind.kind != "f" and len(wrong := column[(column != np.rint(column)) | ~_fits(column, kind)]):
+                raise ValueError(f"{wrong[0]:g} is no whole number of the type {kind}")
         self.place = end
         return list(table.T)
+
+
+def _fits(values: np.ndarray, kind: np.dtype) -> np.ndarray:
+    return (values >= np.iinfo(kind).min) & (values <= np.iinfo(kind).max)
 
 
 class _Bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageChops, UnidentifiedImageError
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside
@@ -18,6 +18,7 @@ from paper_artifact.files import inside
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
 BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
+LIGHT = 128  # of 255: a mask's white is at least this
 MOST_PIXELS = 2**27  # of one image: 134 million
 
 
@@ -32,8 +33,8 @@ def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None
     """Return the picture in `data`, the content of `file`, with its transparency.
 
     aspect: the camera's width / height, which it must have; resized copies are welcome. mask: an image of the
-    same size, white where the picture counts and black where it does not, grey in between. Raises InputError
-    for what is no 8-bit image, another aspect, or a mask of another size.
+    same size, see `as_mask`. Raises InputError for what is no 8-bit image, another aspect, or a mask of
+    another size.
     """
     picture = _decoded(data, file)
     if has_transparency(picture):
@@ -47,7 +48,7 @@ def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
     if mask is not None:
-        kept = np.asarray(_decoded(mask.read_bytes(), mask).convert("L"))
+        kept = np.asarray(as_mask(_decoded(mask.read_bytes(), mask), mask))
         if kept.shape != colours.shape[:2]:
             raise InputError(
                 f"the mask {mask} has {kept.shape[1]}×{kept.shape[0]} pixels, its photograph "
@@ -155,6 +156,19 @@ def opened(source: Path | io.BytesIO, file: Path) -> Iterator[Image.Image]:
 def has_transparency(picture: Image.Image) -> bool:
     """Return whether a picture has an alpha channel, or a colour that stands for one."""
     return picture.mode in TRANSPARENT or "transparency" in picture.info
+
+
+def as_mask(picture: Image.Image, file: Path) -> Image.Image:
+    """Return a mask (type L): white where the photograph counts, black where it does not or where the mask is
+    transparent, grey in between. Raises InputError for one without a light pixel that is not black either, as
+    masks of the values 0 and 1 are."""
+    kept = picture.convert("L")
+    if has_transparency(picture):
+        kept = ImageChops.multiply(kept, picture.convert("RGBA").getchannel("A"))
+    lightest = int(np.asarray(kept).max())
+    if 0 < lightest < LIGHT:
+        raise InputError(f"the mask {file} has values up to {lightest}; save what counts as white, 255")
+    return kept
 
 
 def sizes_told(sizes: Mapping[tuple[int, int], int]) -> str:

@@ -237,6 +237,8 @@ def _carved(
     left = np.arange(len(points))
     shown = np.zeros(len(points), np.int64)
     for camera, mask in zip(cameras, masks, strict=True):
+        if not len(left):
+            break
         seen = arithmetic.product(points[left], camera.rotation.T) + np.asarray(camera.translation)
         depth = np.maximum(seen[:, 2], 1e-12)
         column = np.floor(camera.focal_x * seen[:, 0] / depth + camera.centre_x).astype(np.int64)

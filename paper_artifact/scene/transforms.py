@@ -31,7 +31,7 @@ from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
-from paper_artifact.scene.images import has_transparency, opened, sizes_told
+from paper_artifact.scene.images import as_mask, has_transparency, opened, sizes_told
 from paper_artifact.scene.lens import DISTORTION, least_zoom, undistorted
 from paper_artifact.scene.subject import hull_cloud, view_box
 
@@ -301,7 +301,7 @@ def _picture(view: View) -> Image.Image:
         image = read.convert("RGBA" if has_transparency(read) or view.mask is not None else "RGB")
     if view.mask is not None:
         with opened(view.mask, view.mask) as read:
-            kept = read.convert("L")
+            kept = as_mask(read, view.mask)
         if kept.size != image.size:
             raise InputError(
                 f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; scale them to one size"
