@@ -206,6 +206,7 @@ def test_a_soup_or_a_scene_is_asked_for_its_betti_numbers(tiny_scene, tmp_path, 
     printed = capsys.readouterr().out
     assert "--betti 1,0,1; correct what you know better" in printed and "next 0." in printed
     assert cli.main(["audit"]) == 2 and "give a mesh" in capsys.readouterr().err
+    assert cli.main(["audit", "--scene", str(tiny_scene.path), "--densities", "64", "--out", "a"]) == 2
     assert cli.main(["audit", "torus", "--scene", str(tmp_path)]) == 2
     assert "a mesh is audited whole" in capsys.readouterr().err
     save_soup(tmp_path / "soup.npz", initial_soup(tiny_scene.points, 400, 0))

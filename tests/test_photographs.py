@@ -371,3 +371,13 @@ def test_the_mugs_ground_truth_is_one_closed_surface_of_genus_one():
     assert certificate.betti == (1, 2, 1) and certificate.open_edges == 0
     size = sum(file.stat().st_size for file in MUG.rglob("*") if file.is_file())
     assert size < 3e6
+
+
+def test_a_scene_made_of_the_photographs_is_no_photograph(tmp_path):
+    for place in ("", "more", "scene/images"):
+        (tmp_path / place).mkdir(parents=True, exist_ok=True)
+        for index in range(3):
+            (tmp_path / place / f"{index}.jpg").touch()
+    (tmp_path / "scene" / "scene.json").write_text("{}")
+    assert sorted(photographs_in(tmp_path)) == ["0", "1", "2", "more_0", "more_1", "more_2"]
+    assert len(photographs_in(tmp_path / "scene")) == 3

@@ -12,7 +12,7 @@ import numpy as np
 
 from paper_artifact.audit.rule import DENSITIES, WORKING, counted
 from paper_artifact.cli.bars import stage_bar
-from paper_artifact.cli.options import Options, Positional, Source, WrongUsage
+from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, words_of
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import InputError, quoted
 from paper_artifact.files import RESULTS, cut_name, load_json, renewed_folder, write_json, write_text
@@ -262,6 +262,10 @@ def _check_other(folder: Path, mesh: str) -> None:
 def audit(options: AuditOptions) -> int:
     """Audit, write the page, print a summary. Returns 0, also when nothing is measurable."""
     if options.mesh is None or options.mesh.endswith(".npz"):
+        if unused := words_of(options, "mesh", "scene"):
+            raise WrongUsage(
+                f"{unused[0]} belongs to the audit of a mesh; a soup or a cloud takes --scene alone"
+            )
         return propose(options.mesh, options.scene)
     if options.scene is not None:
         raise WrongUsage("--scene belongs to a soup (.npz) or stands alone; a mesh is audited whole")

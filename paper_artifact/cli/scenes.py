@@ -83,7 +83,7 @@ def fetch(options: Fetch) -> int:
     elif len(keys) == 1 and files:
         print(next_command("photos", path, "--out", f"results/scenes/{keys[0]}"))
     elif len(keys) == 1:
-        print(next_command("certify", keys[0]))
+        print(next_command("certify", keys[0] if options.out == downloads.DOWNLOADS else path))
     return 1 if failed else 0
 
 

@@ -20,6 +20,7 @@ from scipy.ndimage import laplace
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
+from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.images import has_transparency, is_blank, opened, sizes_told
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
@@ -49,18 +50,20 @@ DARK, BRIGHT = 0.02, 0.9  # linear light: darker is noise, brighter may be clipp
 def photographs_in(folder: Path | str) -> dict[str, Path]:
     """Return the pictures in a folder and its sub-folders, by name: "stem", or "sub-folder_stem".
 
-    What is hidden is left out. Raises InputError for no folder, fewer than three pictures, and pictures whose
-    names differ by their ending alone.
+    What is hidden is left out, and sub-folders with a scene that was made of them. Raises InputError for no
+    folder, fewer than three pictures, and pictures whose names differ by their ending alone.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
             f"no folder at {folder}; give the folder that holds the photographs, or a video file"
         )
+    made = {each.parent for each in folder.rglob(DESCRIPTION)} - {folder}
     files = [
         each
         for each in sorted(folder.rglob("*"))
         if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
+        if not made.intersection(each.parents)
     ]
     photographs: dict[str, Path] = {}
     for each in files:
