@@ -120,6 +120,15 @@ STUDIES: dict[str, tuple[Block, ...]] = {
     ),
     # Not the paper's either: T3, frozen on sphere, torus, pot and horse before it ran on the others.
     "words_cloud": (Block(REST, ("T3",), range(3)), Block(PAIR, ("T3",), range(5))),
+    "words_dirty": tuple(  # T3 on clouds as real ones are, one seed, beside realism's runs
+        Block(PAIR, ("T3",), range(1), changes=change)
+        for change in (
+            {"cloud_noise": 0.0075},
+            {"cloud_outliers": 0.05},
+            {"cloud_missing": 0.2},
+            {"cloud_noise": 0.0075, "cloud_outliers": 0.05, "cloud_missing": 0.2},
+        )
+    ),
     "words_ablation": (
         Block(PAIR, ("T1",), range(3), loss={"aim": "smoothed"}),  # S16: bounded deaths
         Block(PAIR, ("T1",), range(3), loss={"aim": "births", "suppress": "none"}),  # births only
