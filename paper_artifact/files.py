@@ -170,10 +170,9 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
     for the same part moved there and this one did not is removed. All other files in `folder` stay.
 
     The folder's MANIFEST lists what was moved, by part, with its SHA-256; one process at a time changes it.
-    Raises InputError, before and after the block, when one of the files `names` exists and is not listed; for
-    None, when any file exists that is not listed, unless the folder was written for this part before; when a
-    listed file of the part was changed since. Also as `atomic_path` does.
-    """
+    Raises InputError, before and after the block, when one of the files `names`, or one that was made, exists
+    and is not listed; for None, when any file exists that is not listed, unless the folder was written for
+    this part before; when a listed file of the part was changed since. Also as `atomic_path` does."""
     folder = Path(folder)
     with ExitStack() as stack:
         with _writing(folder):
@@ -181,13 +180,16 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
             (new := stack.enter_context(partial_folder(folder)) / "new").mkdir()
         yield new
         with _writing(folder), _alone_in(folder):
-            _check_own(folder, part, names)
-            _move_in(new, folder, part)
+            files = (each for each in new.rglob("*") if each.is_file())
+            made = {each.relative_to(new).as_posix(): _sha256(each) for each in files}
+            for each in (names, made):
+                _check_own(folder, part, each)
+            _move_in(new, made, folder, part)
 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Let nobody else on this machine be in this block for the same folder; without locks, anybody."""
+    """Let nobody else on this machine into this block for the same folder; without locks, anybody."""
     lock = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
@@ -221,8 +223,7 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _move_in(new: Path, folder: Path, part: str) -> None:
-    made = {path.relative_to(new).as_posix(): _sha256(path) for path in new.rglob("*") if path.is_file()}
+def _move_in(new: Path, made: dict[str, str], folder: Path, part: str) -> None:
     parts = listed(folder)
     before = parts.pop(part, {})
     gone = {*before} - {*made}.union(*parts.values())

@@ -89,10 +89,10 @@ def own_kernel() -> Iterator[str]:
 @contextmanager
 def figures_of(path: Path, folder: Path) -> Iterator[None]:
     """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
-    in place of those that an earlier execution of it wrote there. Raises InputError for one of such a name,
-    in another folder than FIGURES, that no execution wrote."""
+    in place of those that an earlier execution of it wrote there. Raises InputError for one of such a name
+    that no execution wrote."""
     known = {name for names in listed(folder).values() for name in names}
-    mine = [] if folder == FIGURES else [each.name for each in folder.glob(f"{escape(path.stem)}_*.svg")]
+    mine = [each.name for each in folder.glob(f"{escape(path.stem)}_*.svg")]
     with renewed_folder(folder, path.stem, {*mine} - known) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
@@ -116,19 +116,18 @@ def execute(
     A failing cell ends the notebook, not the program: the copy then shows the trace and the outcome names the
     error. refresh: also write outputs and counts back to `path`, through `cleaned`, if every cell ran and the
     notebook is as it was. Call inside `own_kernel`. Raises InputError for an unknown profile, a folder that
-    cannot be written, and, in another folder than EXECUTED, a notebook of this name that no execution wrote.
+    cannot be written, and a notebook of this name in `executed` that no execution wrote.
     """
     import papermill
     from papermill.exceptions import PapermillExecutionError
 
     if profile not in PROFILES:
         raise InputError(f"the profile '{profile}' is unknown; use one of {', '.join(PROFILES)}")
-    guarded = () if executed == EXECUTED else (path.name,)
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, failure = time.monotonic(), ""
     try:
         before = path.read_bytes()
-        with figures_of(path, figures), renewed_folder(executed, path.name, guarded) as new:
+        with figures_of(path, figures), renewed_folder(executed, path.name, [path.name]) as new:
             try:
                 notebook = papermill.execute_notebook(
                     path,

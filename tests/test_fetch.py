@@ -112,13 +112,17 @@ def mirror_with(folder: Path, files: dict[str, bytes]) -> Path:
     return folder
 
 
-def test_a_download_lands_whole_and_is_repeated_only_where_it_is_damaged(out, server):
+def test_a_download_lands_whole_and_what_was_changed_is_not_replaced(out, server):
     with server() as asked:
         first, second = get("tri", out), get("tri", out)
         assert (first.origin, second.origin) == (fetching.RAW + asked[0], "already there")
         assert asked == ["/some/where/abc/data/a%20b.obj"]
         assert first.path == out / "some+where" / "data" / "a b.obj" and first.path.read_bytes() == BODY
         first.path.write_bytes(BODY[:-1])
+        with pytest.raises(InputError, match="is no longer the file that was fetched"):
+            get("tri", out)
+        assert first.path.read_bytes() == BODY[:-1]
+        first.path.unlink()
         assert get("tri", out).path.read_bytes() == BODY and len(asked) == 2
     assert files_below(out) == [first.path]
 
@@ -128,6 +132,7 @@ def test_an_archive_is_kept_and_unpacked_beside_itself(out, server):
         path = get("packed", out).path
         path.unlink()
         assert get("packed", out).path.read_bytes() == BODY
+        path.unlink()
         with pytest.raises(InputError, match="not the pinned one"):
             get("another", out)
     assert path == out / "some+where" / "data" / "tri.ply" and len(asked) == 1

@@ -16,11 +16,13 @@ import errno
 import importlib
 import json
 import os
+import signal
 import sys
 import typing
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any
 
 from paper_artifact import __version__
@@ -83,15 +85,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     prepare_streams()
     argv = list(sys.argv[1:] if argv is None else argv)
     asked = _asked(argv)
+    interrupted: list[int] = []
+
+    def interrupt(number: int, _: object) -> None:
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    heard = current_thread() is main_thread() and before in (signal.SIG_DFL, signal.default_int_handler)
     try:
+        if heard:
+            signal.signal(signal.SIGINT, interrupt)
         code = _run(argv, asked)
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # the reader (head, less) has gone
         _silence_stdout()
         return 1
-    except (InputError, OSError, MemoryError, ImportError, KeyboardInterrupt) as error:
-        text = _sentence(error, asked)
+    except (Exception, KeyboardInterrupt) as error:
+        text = _sentence(
+            KeyboardInterrupt() if interrupted else error, asked
+        )  # libraries turn it into others
         if text is None:
             raise
         with suppress(BrokenPipeError):
@@ -99,6 +113,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, OSError):
             _silence_stdout()
         return 2 if isinstance(error, WrongUsage) else 1
+    finally:
+        if heard:
+            signal.signal(signal.SIGINT, before)
 
 
 def _run(argv: list[str], asked: str | None) -> int:
@@ -109,6 +126,10 @@ def _run(argv: list[str], asked: str | None) -> int:
         raise InputError("the current folder was deleted; change to one that exists") from error
     if sys.flags.optimize > 1:
         raise WrongUsage("python -OO removes the texts that the options are read from; leave -OO out")
+    os.environ.pop("MPLBACKEND", None)  # no verb opens a window, and one of another time ends in a trace
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1").strip()
+    if threads.lstrip("+-").isdecimal() and int(threads) < 1:
+        raise WrongUsage(f"NUMBA_NUM_THREADS is {threads}; unset it, or set it to 1 or more")
     parser, runner = _parser(asked)
     with suppress(ImportError):
         import argcomplete

@@ -196,7 +196,14 @@ def _fetched(entry: Source, mirror: Path | str | None, downloads: Path, quiet: b
     archive, mesh = downloads / entry.relative_path, downloads / entry.relative_mesh_path
     if _has_hash(mesh, entry.member_sha256 or entry.sha256):
         return Fetched(mesh, THERE)
-    origin = THERE if _has_hash(archive, entry.sha256) else _retrieved(entry, mirror, archive, quiet)
+    whole = _has_hash(archive, entry.sha256)
+    for path in (mesh, archive):
+        if path.is_file() and not (whole and path == archive):
+            raise InputError(
+                f"{path} is no longer the file that was fetched; move it elsewhere and give its path, or "
+                f"delete it to fetch '{entry.key}' again"
+            )
+    origin = THERE if whole else _retrieved(entry, mirror, archive, quiet)
     if entry.member:
         try:
             with zipfile.ZipFile(archive) as opened:
@@ -231,7 +238,7 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
         )
         origin, reader = place, pooch.HTTPDownloader(progressbar=bar, timeout=TIMEOUT)
     else:
-        folder = Path(asked).expanduser()
+        folder = Path(os.path.expanduser(asked))
         place, origin, reader = str(folder / entry.relative_path), str(folder), _copy
         if not folder.is_dir():
             raise InputError(f"the mirror {folder} is no folder; give the folder that holds {MIRROR_LAYOUT}")
