@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
+import time
 import types
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -299,3 +301,33 @@ def test_tab_completion_proposes_verbs_options_and_names(tmp_path):
     assert {"certify", "ingest"} <= proposed("paper-artifact ")
     assert proposed("paper-artifact certify --c") >= {"--closed", "--candidates"}
     assert "two_spheres" in proposed("paper-artifact train two_")
+
+
+def test_an_interrupt_that_a_library_turns_into_another_error_is_one(monkeypatch, capsys):
+    def importing(argv, asked):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise ImportError("PLEASE READ THIS") from None
+
+    monkeypatch.setattr(cli, "_run", importing)
+    handler = signal.getsignal(signal.SIGINT)
+    assert cli.main(["certify", "torus"]) == 1 and signal.getsignal(signal.SIGINT) is handler
+    assert capsys.readouterr().err.startswith("paper_artifact: interrupted; ")
+
+
+@pytest.mark.parametrize(
+    "variables, code, words",
+    [
+        ({"NUMBA_NUM_THREADS": "0"}, 2, "NUMBA_NUM_THREADS is 0; unset it, or set it to 1 or more"),
+        ({"PAPER_ARTIFACT_MIRROR": "~nobodyx/meshes"}, 1, "the mirror ~nobodyx/meshes is no folder"),
+        ({"MPLBACKEND": "Qt4Agg"}, 0, ""),
+    ],
+)
+def test_odd_variables_are_a_sentence_or_nothing(variables, code, words, tmp_path, monkeypatch, capsys):
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    command = ["fetch", "cow", f"--out={tmp_path}"] if code == 1 else ["certify", "torus"]
+    assert cli.main(command) == code and words in capsys.readouterr().err
+    assert os.environ.get("MPLBACKEND") is None

@@ -160,6 +160,16 @@ def test_a_name_that_a_failed_command_claimed_is_still_the_users(tmp_path, monke
     assert files_in(tmp_path) == {"a", "b"}
 
 
+def test_a_users_file_of_a_new_name_in_an_old_book_stays(tmp_path):
+    renew(tmp_path, "a")
+    write_text(tmp_path / "b", "precious")
+    with pytest.raises(InputError, match="b is there and was not written by this command"):
+        renew(tmp_path, "a", "b")
+    assert (tmp_path / "b").read_text() == "precious"
+    renew(tmp_path, "a", "c")
+    assert files_in(tmp_path) == {"a", "b", "c"}
+
+
 @pytest.mark.parametrize("listed", ["[", '{"book": ["../mine"]}', '{"book": 3}', '{"book": [3]}', "[]"])
 def test_a_manifest_that_lies_removes_nothing_outside(tmp_path, listed):
     write_text(tmp_path / "mine", "precious")
