@@ -123,10 +123,8 @@ STUDIES: dict[str, tuple[Block, ...]] = {
     "words_dirty": tuple(  # T3 on clouds as real ones are, one seed, beside realism's runs
         Block(PAIR, ("T3",), range(1), changes=change)
         for change in (
-            {"cloud_noise": 0.0075},
-            {"cloud_outliers": 0.05},
-            {"cloud_missing": 0.2},
             {"cloud_noise": 0.0075, "cloud_outliers": 0.05, "cloud_missing": 0.2},
+            {"cloud_missing": 0.2},
         )
     ),
     "words_ablation": (
