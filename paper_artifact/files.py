@@ -84,10 +84,8 @@ def partial_folder(parent: Path) -> Iterator[Path]:
 
 
 def clear_partials(parent: Path) -> None:
-    """Remove the temporary folders in `parent` whose owners are gone: their locks can be taken.
-
-    Where the file system has no locks, and in folders without one, nothing is removed.
-    """
+    """Remove the temporary folders in `parent` whose owners are gone: their locks can be taken. Where the
+    file system has no locks, and in folders without one, nothing is removed."""
     for left in parent.glob(f"{PARTIAL}*"):
         with suppress(OSError):  # live, removed by another process meanwhile, or of somebody else
             try:
@@ -132,9 +130,17 @@ def _writing(path: Path) -> Iterator[None]:
         raise write_failure(path, error) from error
 
 
+def _place(path: Path) -> Path:
+    """Return the path behind symbolic links. Raises OSError for what may not be written or replaced there."""
+    place = plain(path)
+    if place.exists() and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, "it is write-protected")
+    return place
+
+
 def check_writable(path: Path) -> None:
     """Make the folder of the file `path`. Raises InputError when no file can be written there."""
-    with _writing(path), partial_folder(plain(path).parent):
+    with _writing(path), partial_folder(_place(path).parent):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
 
@@ -149,7 +155,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     with ExitStack() as stack:
         with _writing(path):
-            place = plain(path)
+            place = _place(path)
             temporary = stack.enter_context(partial_folder(place.parent)) / path.name
         try:
             yield temporary
@@ -314,11 +320,9 @@ def write_npz(path: Path | str, arrays: Mapping[str, Any], compressed: bool = Tr
 
 
 def load_npz(path: Path | str) -> dict[str, Any]:
-    """Return the arrays of the .npz file at `path` by name.
-
-    Every byte is held against the archive's checksums. Raises OSError when the file cannot be read,
-    ValueError when it is damaged, no archive, holds pickles or unpacks to more than LARGEST bytes.
-    """
+    """Return the arrays of the .npz file at `path` by name, every byte held against its checksums. Raises
+    OSError when it cannot be read, ValueError when it is damaged, no archive, holds pickles or unpacks to
+    more than LARGEST bytes."""
     try:
         with zipfile.ZipFile(path) as archive:
             check_archive(archive)
@@ -346,10 +350,8 @@ def cut_name(name: str) -> str:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return the path of `name` below `folder`; it need not be there.
-
-    Raises InputError when the name, or a symbolic link on the way, leads out of the folder.
-    """
+    """Return the path of `name` below `folder`; it need not be there. Raises InputError when the name, or a
+    symbolic link on the way, leads out of the folder."""
     path = folder / name
     try:
         leads_out = not path.resolve().is_relative_to(folder.resolve())
@@ -364,10 +366,8 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def decoded(data: bytes) -> str:
-    """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one.
-
-    Every line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names.
-    """
+    """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one. Every
+    line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names."""
     wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     text = data.decode("utf-16", "replace") if wide else data.decode("utf-8-sig", "surrogateescape")
     return text.replace("\r\n", "\n").replace("\r", "\n")

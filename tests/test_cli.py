@@ -317,6 +317,15 @@ def test_an_interrupt_that_a_library_turns_into_another_error_is_one(monkeypatch
     assert capsys.readouterr().err.startswith("paper_artifact: interrupted; ")
 
 
+def test_what_may_not_be_read_is_a_sentence(monkeypatch, capsys):
+    def refused(argv, asked):
+        raise PermissionError(13, "Permission denied", "scene/images")
+
+    monkeypatch.setattr(cli, "_run", refused)
+    assert cli.main(["certify", "torus"]) == 1
+    assert "scene/images: Permission denied; check the rights" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "variables, code, words",
     [

@@ -17,7 +17,7 @@ import pytest
 
 from paper_artifact import cli
 from paper_artifact.errors import InputError
-from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, renewed_folder, write_text
+from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, check_writable, renewed_folder, write_text
 from paper_artifact.notebooks import figures_of
 from paper_artifact.record.store import find_records
 from paper_artifact.scene.build import SceneConfig, build_scene
@@ -255,6 +255,15 @@ def test_a_link_is_followed_and_a_pipe_refused(tmp_path):
         with pytest.raises(InputError, match="a device or a pipe"):
             act(tmp_path / "pipe")
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_write_protected_file_is_not_replaced(tmp_path, monkeypatch):
+    write_text(tmp_path / "mine", "precious")
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "mine")  # root may always
+    for act in (lambda path: write_text(path, "x"), check_writable):
+        with pytest.raises(InputError, match="mine: it is write-protected"):
+            act(tmp_path / "mine")
+    assert (tmp_path / "mine").read_text() == "precious"
 
 
 def test_a_name_that_no_file_can_have_is_a_sentence(tmp_path):

@@ -173,6 +173,8 @@ def _sentence(error: BaseException, asked: str | None) -> str | None:
         return str(write_failure(error.filename or "the output", error))
     if error.errno == errno.ENAMETOOLONG:
         return f"the name {str(error.filename)[:60]}… is too long for a file system; give a shorter one"
+    if isinstance(error, PermissionError) and error.filename:
+        return f"{error.filename}: {error.strerror}; check the rights on it and on the folders above"
     return None
 
 

@@ -96,7 +96,9 @@ def read_description(root: Path) -> dict:
             and isinstance(description.get("files", {}), dict)
             and isinstance(description.get("holdout", ""), str)
         )
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
