@@ -263,3 +263,10 @@ def test_the_command_line(tmp_path, out, capsys, monkeypatch):
     assert main(["fetch", "--list"]) == 0
     listed = capsys.readouterr().out
     assert all(key in listed for key in fetching.sources()) and "  CC0-1.0" in listed
+
+
+def test_a_loop_of_links_is_a_sentence(out):
+    out.mkdir(parents=True)
+    (out / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match="cannot write"):
+        get("tri", out / "loop")

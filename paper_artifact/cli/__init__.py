@@ -167,6 +167,8 @@ def _sentence(error: BaseException, asked: str | None) -> str | None:
             f"the verb '{asked}' needs the Python package '{error.name}', which is not installed; in a "
             "checkout run `bash test.sh` and use .venv/bin/python, else `pip install '.[study]'` there"
         )
+    if isinstance(error, RuntimeError) and "Symlink loop" in texts:  # pathlib's
+        return f"{error}; give a path without it"
     if not isinstance(error, OSError):
         return None
     if error.errno in {*DISK_FULL, *DISK_BROKEN}:

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, write_bytes, write_failure
+from paper_artifact.files import REPOSITORY, check_writable, write_bytes, write_failure
 
 DOWNLOADS = REPOSITORY / "data_scripts" / "downloads"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
@@ -247,6 +247,7 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
                 f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "
                 "add the file, or leave the mirror out to download it"
             )
+    check_writable(target)
     try:
         pooch.retrieve(place, f"sha256:{entry.sha256}", target.name, target.parent, downloader=reader)
     except ValueError as error:  # pooch's word for another hash
