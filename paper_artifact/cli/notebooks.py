@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from paper_artifact.cli.bars import bar
-from paper_artifact.cli.options import Options
+from paper_artifact.cli.options import Options, WrongUsage, words_of
 from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.errors import quoted
 from paper_artifact.files import RESULTS, write_text
@@ -75,7 +76,7 @@ def run_all(options: RunAll) -> int:
             file=sys.stderr,
         )
         return 1
-    print(next_command("book", *(() if options.out == EXECUTED else ("--executed", options.out))))
+    print(next_command("book", *words_of(Book(notebooks=options.notebooks, executed=options.out))))
     return 0
 
 
@@ -109,12 +110,17 @@ class Book(Options):
 
 
 def book(options: Book) -> int:
-    """Build the book and print its path and the verdicts. Returns 0."""
+    """Build the book and print its path and the verdicts. Returns 0. Raises WrongUsage where --runs is a file
+    or may not be read."""
     from paper_artifact import results
     from paper_artifact.book.build import build
     from paper_artifact.book.main_result import PICTURE, main_runs, picture_svg
     from paper_artifact.claims import MISSING
 
+    if options.runs.exists() and not (options.runs.is_dir() and os.access(options.runs, os.R_OK)):
+        raise WrongUsage(
+            f"--runs {options.runs} is no folder that can be read; give the folder of the records"
+        )
     if options.refresh:
         write_text(PICTURE, picture_svg(main_runs(results.load())))
     with bar(total=PARTS, desc="book", unit="part", disable=options.quiet) as line:
