@@ -30,6 +30,7 @@ from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.record.store import (
+    check_unedited,
     config_hash,
     make_record,
     read_record,
@@ -240,19 +241,19 @@ def run(
     in the place of a path (`scene.given.resolve`). results: folder that gets runs/ (the record), soups/,
     scenes/, targets/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
     each remark on stated Betti numbers and on a scene; strict: what contradicts the statement is an
-    InputError, of a finished run after its record is written. Raises InputError for bad input or a folder
-    that is not writable, before any training.
-    """
+    InputError, of a finished run after its record is written. Raises InputError for bad input, a folder
+    that is not writable, or what `check_unedited` refuses, before any training."""
     check_device(device)
     subject = subject_of(config, mesh)
     config, results = subject.given.config, results or subject.results
     if not again and (found := recorded_path(config, results / "runs")) is not None:
         return _uncontradicted(read_record(found), strict)
-    others = (config.loss or config).samples, (config.allocation or config).samples
-    require_memory_for(max(config.samples, *others))
+    require_memory_for(max(part.samples for part in (config, config.loss, config.allocation) if part))
     bundle = _target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
     path = record_path(config, results / "runs")
     check_writable(path)
+    if again:
+        check_unedited(path)
     checkpoint = results / "checkpoints" / f"{path.stem}-{subject.content()[:8]}.pt"
     with alone(checkpoint, tell):
         if not again and (found := recorded_path(config, results / "runs")) is not None:  # meanwhile
@@ -388,11 +389,10 @@ def _mesh_section(mesh: Mesh, target: Target) -> dict:
 
 def _scene_section(scene: Scene) -> dict:
     """Return what a record says of a scene that was given."""
-    height, width = scene.images.shape[2:]
     return {
         "views": len(scene.names),
         "holdout": [scene.names[view] for view in scene.holdout],
-        "size": [width, height],
+        "size": list(scene.images.shape[:1:-1]),  # width, height
         "points": len(scene.points),
         "radius": scene.radius,
         "diagonal": frame_diagonal(scene.points),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.record.store import find_records, read_record, recorded_path
 from paper_artifact.scene.load import load_ground_truth, load_scene
+from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.loop import train
 from tests.tiny_run import tiny_arguments, tiny_config
 
@@ -124,3 +126,21 @@ def test_a_run_tells_at_the_end_what_it_never_saw(capsys):
     assert seen is not None and closing_notes(read_record(seen)) == []
     without = recorded_path(study_config("horse", "C1", 0))
     assert without is not None and closing_notes(read_record(without)) == []
+
+
+def test_a_run_made_again_replaces_nothing_that_somebody_changed(results):
+    arguments = [*tiny_arguments(), f"--results={results}", "--again"]
+    assert cli.main(arguments) == 0
+    (soup,) = (results / "soups").glob("*.npz")
+    record, whole, lines = results / "runs" / f"{soup.stem}.json", soup.read_bytes(), {}
+    kept = load_soup(soup)
+    save_soup(soup, replace(kept, vertices=kept.vertices + 1))
+    lines[soup] = soup.read_bytes()
+    assert cli.main(arguments) == 1 and soup.read_bytes() == lines[soup]
+    soup.write_bytes(whole)
+    record.write_text(record.read_text().replace('"cpu_seconds"', '"note": "mine", "cpu_seconds"', 1))
+    lines[record] = record.read_bytes()
+    assert cli.main(arguments) == 1 and record.read_bytes() == lines[record]
+    soup.write_bytes(b"damaged")
+    record.write_text("{")
+    assert cli.main(arguments) == 0, "what is damaged is made anew"

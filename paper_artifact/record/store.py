@@ -202,6 +202,23 @@ def read_record(path: Path | str) -> dict:
     return record
 
 
+def check_unedited(path: Path) -> None:
+    """Raise InputError where the record at `path`, or its soup (from 0.3.0 on), was changed since it was
+    written: a run made again would replace it. What is not there, or damaged, may be replaced."""
+    from paper_artifact.soup.state import load_soup  # with torch: only where a run is made again
+
+    soup = path.parent.parent / "soups" / f"{path.stem}.npz"
+    for file, read, sign in ((path, read_record, "was changed"), (soup, load_soup, "is not the soup of")):
+        try:
+            if file.is_file():
+                read(file)
+        except InputError as error:
+            if sign in str(error):
+                raise InputError(
+                    f"{file} was changed since it was written, and would be replaced; move it elsewhere"
+                ) from error
+
+
 def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
     """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list,
     tuple or set).
