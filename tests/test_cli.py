@@ -312,8 +312,12 @@ def test_an_interrupt_that_a_library_turns_into_another_error_is_one(monkeypatch
             raise ImportError("PLEASE READ THIS") from None
 
     monkeypatch.setattr(cli, "_run", importing)
-    handler = signal.getsignal(signal.SIGINT)
-    assert cli.main(["certify", "torus"]) == 1 and signal.getsignal(signal.SIGINT) is handler
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert cli.main(["certify", "torus"]) == 1
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err.startswith("paper_artifact: interrupted; ")
 
 
