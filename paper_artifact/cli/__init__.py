@@ -103,9 +103,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _silence_stdout()
         return 1
     except (Exception, KeyboardInterrupt) as error:
-        text = _sentence(
-            KeyboardInterrupt() if interrupted else error, asked
-        )  # libraries turn it into others
+        cause = KeyboardInterrupt() if interrupted else error  # libraries raise another error from it
+        text = _sentence(cause, asked)
         if text is None:
             raise
         with suppress(BrokenPipeError):

@@ -51,7 +51,7 @@ class Train(OwnSceneOptions):
         results/own/, which git ignores)
     device: one of {DEVICES}
     threads: CPU threads; the result does not depend on it
-    again: run even if there is a record of this configuration, and replace record and soup
+    again: run even if there is a record of this configuration, and replace it, unless it was changed
     verify: train again elsewhere and compare with the record: the same bits, or the first value that differs
     """
 

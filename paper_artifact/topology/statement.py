@@ -267,14 +267,17 @@ def choose_density(points: np.ndarray, statement: Statement, config: LossConfig)
     return Density(best, False, (*reasons, f"{asked}."))
 
 
-def cost(points: np.ndarray, config: LossConfig, steps: int) -> str:
+def cost(points: np.ndarray, config: LossConfig, steps: int) -> list[str]:
     """Return the CPU seconds that the loss's plans take in a run of `steps` steps, as a sentence: one is
-    timed on the cloud `points` (n,3)."""
+    timed on the cloud `points` (n,3); none for a cloud too small for that."""
+    if len(points) < ENOUGH * config.samples:
+        return []
     begin = time.process_time()
     alpha_persistence(drawn(points, config.samples), as_given=True)
-    seconds, active = time.process_time() - begin, 1 - config.ramp[0] if config.ramp else 1.0
-    plans = round(active * steps / config.refresh_every)
-    return f"{plans} plans at M = {config.samples} take about {plans * seconds:.0f} s here."
+    seconds = time.process_time() - begin
+    start = config.ramp[0] if config.ramp else 0.0
+    plans = round((1 - start) * steps / config.refresh_every)
+    return [f"{plans} plans at M = {config.samples} take about {plans * seconds:.0f} s here."]
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,8 @@ class TopologyTerm:
         vertices (T,3,3) world units; opacity (T,3) in [0,1], or None for 1. Raises InputError for NaN or a
         soup without visible area, and with `strict` for a contradiction.
         """
-        stream = samples_stream(self.seed, step - 1)
-        samples = draw_samples(vertices, opacity, self.config.samples, stream, self.within)
+        generator = samples_stream(self.seed, step - 1)
+        samples = draw_samples(vertices, opacity, self.config.samples, generator, self.within)
         kind = Repulsion if self.config.kind == "repulsion" else Persistence
         self._objective = kind(self, step, samples, vertices.detach())
         self._refreshed, self._resampled = step, False
@@ -311,13 +311,14 @@ def statement_term(
     """
     statement = Statement(loss.betti or (), frame_diagonal(points))
     points = points if within is None else points[within(points)]
-    points = cleaned(points) if len(points) > 3 else points
+    asked = loss.samples == 0 or loss.aim == "cloud"
+    points = cleaned(points) if asked and len(points) > 3 else points
     log: list[dict] = []
     said: list[str] = []
     if loss.samples == 0:
         density = choose_density(points, statement, loss)
         loss, log = replace(loss, samples=density.samples), [{"event": "density", **density.to_json()}]
-        said += [*density.reasons, *([] if tell is None else [cost(points, loss, steps)])]
+        said += [*density.reasons, *cost(points, loss, steps)]
     if loss.aim == "cloud":
         statement = measured_on(points, statement, loss.samples)
         said += unmeasured(statement, loss.samples, len(points))
