@@ -124,8 +124,7 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 
 
 def check_points(points: Any) -> np.ndarray:
-    """Return `points` as a contiguous (n, 3) or (n, 2) float64 array, a tensor without its gradient; raise
-    InputError for another shape, other values, or coordinates that are not finite or beyond LARGEST."""
+    """Return `points` as (n, 3) or (n, 2) float64, contiguous; raise InputError where they cannot be that."""
     advice = "give an (n, 3) or (n, 2) array of real numbers"
     points = as_numbers(points, "the points", advice)
     points = np.zeros((0, 3)) if points.shape == (0,) else points
@@ -232,8 +231,7 @@ class Filtration:
     lengths: np.ndarray  # (e,) float64: of the edges
 
     def simplex_tree(self) -> Any:
-        """Return the complex as gudhi makes it, a gudhi.SimplexTree with SQUARED radii (InputError where
-        these leave the range of float64)."""
+        """Return gudhi's SimplexTree, with SQUARED radii (InputError beyond the range of float64)."""
         import gudhi
 
         tree = gudhi.SimplexTree()
@@ -324,9 +322,6 @@ def _ended(pairs: Pairs, infinite: bool, limit: float) -> Pairs:
         return pairs
     alive = pairs.deaths > limit
     keep = (pairs.births <= limit) & (infinite | ~alive)
-    return Pairs(
-        pairs.births[keep],
-        np.where(alive, np.inf, pairs.deaths)[keep],
-        pairs.birth_simplices[keep],
-        np.where(alive[:, None], NOBODY, pairs.death_simplices)[keep],
-    )
+    deaths = np.where(alive, np.inf, pairs.deaths)
+    last = np.where(alive[:, None], NOBODY, pairs.death_simplices)
+    return Pairs(pairs.births[keep], deaths[keep], pairs.birth_simplices[keep], last[keep])
