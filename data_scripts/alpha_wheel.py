@@ -13,6 +13,7 @@ import subprocess
 import sys
 import venv
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = ("__init__.py", "errors.py", "kernel_cache.py", "py.typed", "alpha")
@@ -48,9 +49,9 @@ print(len(voids), bottleneck(loops, loops), wasserstein(voids, []), persistence_
       [len(each) for each in alpha_filtration(points).radii])
 """
 
-if __name__ == "__main__":
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "build" / "alpha").resolve()
-    shutil.rmtree(folder, ignore_errors=True)
+
+def made_and_tried(folder: Path) -> Path:
+    """Return the wheel, made and tried in the empty `folder`."""
     source = folder / "source" / "paper_artifact"
     source.mkdir(parents=True)
     for name in FILES:
@@ -73,4 +74,12 @@ if __name__ == "__main__":
     )
     subprocess.run([python, "-m", "pip", "--quiet", "install", wheel, *pins], check=True)
     subprocess.run([python, "-I", "-c", PROGRAM], check=True, cwd=folder)  # -I: without PYTHONPATH
-    print(wheel)
+    return wheel
+
+
+if __name__ == "__main__":
+    with TemporaryDirectory() as made:
+        wheel = made_and_tried(Path(made))
+        folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "build" / "alpha")
+        folder.mkdir(parents=True, exist_ok=True)
+        print(shutil.copy(wheel, folder))

@@ -11,8 +11,8 @@ L-infinity distance to the diagonal), d the L-infinity distance of two bars, `a`
 3. A bar with at least as many partners in reach as there are bars to match can be matched last, whatever the
    others take. Leaving such bars out, again and again, leaves few at t = L, and for a larger t some of them.
 
-The tests compare with hera (delta = 0; 0 near 1e-13): gudhi.bottleneck_distance (3.13) takes ten times as long,
-and returns slightly too much for one in 3,000 small random diagrams.
+The tests compare with hera (delta = 0; 0 near 1e-13), for gudhi.bottleneck_distance (3.13) returns slightly
+too much for one in 3,000 small random diagrams. It also takes ten times as long.
 """
 
 from __future__ import annotations
