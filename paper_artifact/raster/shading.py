@@ -253,28 +253,21 @@ def _back(weights, deltas, source, kept, layer, target):
 
 @inlined
 def _outer(sums, deltas, delta, outputs, kept, layer, sixteens):
-    # sums[o, i] (lanes) += delta[o]·x[i] over some sixteens, two outputs by four inputs at a time: these stay
-    # in registers.
+    # sums[o, i] (lanes) += delta[o]·x[i] over some sixteens, two outputs by two inputs at a time: these stay
+    # in the sixteen registers of AVX2.
     for o in range(0, outputs, 2):
-        for i in range(0, HIDDEN, 4):
+        for i in range(0, HIDDEN, 2):
             s = (o * HIDDEN + i) * WIDTH
             z = s + HIDDEN * WIDTH
-            s0, s1, s2, s3 = load(sums, s), load(sums, s + 16), load(sums, s + 32), load(sums, s + 48)
-            z0, z1, z2, z3 = load(sums, z), load(sums, z + 16), load(sums, z + 32), load(sums, z + 48)
+            s0, s1, z0, z1 = load(sums, s), load(sums, s + 16), load(sums, z), load(sums, z + 16)
             for n in range(sixteens):
                 at, x = (n * _DELTAS + delta + o) * WIDTH, (n * ROWS + layer + i) * WIDTH
-                d, e = load(deltas, at), load(deltas, at + WIDTH)
-                x0, x1, x2, x3 = load(kept, x), load(kept, x + 16), load(kept, x + 32), load(kept, x + 48)
-                s0, s1, s2, s3 = fma(d, x0, s0), fma(d, x1, s1), fma(d, x2, s2), fma(d, x3, s3)
-                z0, z1, z2, z3 = fma(e, x0, z0), fma(e, x1, z1), fma(e, x2, z2), fma(e, x3, z3)
+                d, e, x0, x1 = load(deltas, at), load(deltas, at + WIDTH), load(kept, x), load(kept, x + 16)
+                s0, s1, z0, z1 = fma(d, x0, s0), fma(d, x1, s1), fma(e, x0, z0), fma(e, x1, z1)
             store(sums, s, s0)
             store(sums, s + 16, s1)
-            store(sums, s + 32, s2)
-            store(sums, s + 48, s3)
             store(sums, z, z0)
             store(sums, z + 16, z1)
-            store(sums, z + 32, z2)
-            store(sums, z + 48, z3)
 
 
 _D3, _D2, _D1 = 0, 4, 4 + HIDDEN  # the fourth output is 0: the sums go by pairs
