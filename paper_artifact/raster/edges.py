@@ -23,32 +23,28 @@ from paper_artifact.raster.lanes import (
     WIDTH,
     add_to_rows,
     bits,
-    compress,
     first,
     fma,
     inlined,
-    iota,
     load,
     load_part,
     load_rows,
+    lowest,
     maximum,
     minimum,
-    popcount,
     select,
     splat,
     store,
-    to_float,
 )
 
-_QUEUE = 2 * WIDTH
 _COLUMN, _ROW = 12, 13  # places in a row of planes, after the twelve coefficients
 
 
 class Pairs(NamedTuple):
-    """A queue of up to 32 pairs of pixels p, q that await service; row r, place k is at r·32 + k."""
+    """A queue of up to 16 pairs of pixels p, q that await service; row r, place k is at r·16 + k."""
 
-    value: np.ndarray  # (6,32) float32: p's column, row, 1 where q is below (else right), adjoint, depths
-    triangle: np.ndarray  # (2,32) int32: visible triangle's index + 1 at p and q, 0 where there is none
+    value: np.ndarray  # (6,16) float32: p's column, row, 1 where q is below (else right), adjoint, depths
+    triangle: np.ndarray  # (2,16) int32: visible triangle's index + 1 at p and q, 0 where there is none
 
 
 @inlined
@@ -105,11 +101,11 @@ def _corners(here, there, fraction, along, deep, below, where):
 def _geometry(pairs, size):
     # Of the first sixteen pairs: column and row of p and of q, whether q is below, pixels per unit of NDC and
     # back, coordinate of p along the pair's direction (pixels from the image's border), pull.
-    x, y, below = load(pairs.value, 0), load(pairs.value, _QUEUE), load(pairs.value, 2 * _QUEUE) != 0.0
+    x, y, below = load(pairs.value, 0), load(pairs.value, WIDTH), load(pairs.value, 2 * WIDTH) != 0.0
     x_q, y_q = select(below, x, x + 1.0), select(below, y + 1.0, y)
     half = select(below, splat(0.5 * size[0]), splat(0.5 * size[1]))
     scale = select(below, splat(2.0 / size[0]), splat(2.0 / size[1]))
-    return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * _QUEUE) * half
+    return x, y, x_q, y_q, below, half, scale, select(below, y, x) + 0.5, load(pairs.value, 3 * WIDTH) * half
 
 
 @njit(_nrt=False, error_model="numpy")
@@ -127,9 +123,9 @@ def _serve_inside(pairs, count, planes, size, corners):
 def _serve_edges(pairs, count, planes, size, corners):
     # Add what the first `count` <= 16 pairs of the queue pull, two triangles each, to corners.
     x, y, x_q, y_q, below, half, scale, at, pull = _geometry(pairs, size)
-    depth_p, depth_q = load(pairs.value, 4 * _QUEUE), load(pairs.value, 5 * _QUEUE)
+    depth_p, depth_q = load(pairs.value, 4 * WIDTH), load(pairs.value, 5 * WIDTH)
     t_p = select(first(count), load(pairs.triangle, 0), 0)
-    t_q = select(first(count), load(pairs.triangle, _QUEUE), 0)
+    t_q = select(first(count), load(pairs.triangle, WIDTH), 0)
     plane_p, plane_q = load_rows(planes, t_p), load_rows(planes, t_q)
     p_at_p, p_at_q = _values(plane_p, x, y), _values(plane_p, x_q, y_q)
     q_at_p, q_at_q = _values(plane_q, x, y), _values(plane_q, x_q, y_q)
@@ -163,25 +159,16 @@ def _adjoints(colour, gradient, size, p, q, count):
 
 
 @inlined
-def _put(pairs, waiting, mask, column, row, below, adjoint, triangles, depths):
-    # Append the pairs where mask; returns how many wait now.
-    store(pairs.value, waiting, compress(to_float(iota() + column), mask))
-    store(pairs.value, waiting + _QUEUE, splat(row))
-    store(pairs.value, waiting + 2 * _QUEUE, splat(below))
-    store(pairs.value, waiting + 3 * _QUEUE, compress(adjoint, mask))
-    for k in range(2):
-        store(pairs.value, waiting + (4 + k) * _QUEUE, compress(depths[k], mask))
-        store(pairs.triangle, waiting + k * _QUEUE, compress(triangles[k], mask))
-    return waiting + popcount(bits(mask))
-
-
-@inlined
-def _drop_served(pairs):
-    # The first sixteen go.
-    for k in range(0, 6 * _QUEUE, _QUEUE):
-        store(pairs.value, k, load(pairs.value, k + WIDTH))
-    for k in range(0, 2 * _QUEUE, _QUEUE):
-        store(pairs.triangle, k, load(pairs.triangle, k + WIDTH))
+def _put(pairs, place, block, k, column, row, below):
+    # Pair k of a block of sixteen waits at `place`.
+    pairs.value[0, place] = column + k
+    pairs.value[1, place] = row
+    pairs.value[2, place] = below
+    for j in range(3):
+        pairs.value[3 + j, place] = block.value[3 + j, k]
+    for j in range(2):
+        pairs.triangle[j, place] = block.triangle[j, k]
+    return place + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -200,8 +187,9 @@ def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
         for k in range(12):
             rows[1 + t, k] = planes.coefficients[t, k]
         rows[1 + t, _COLUMN], rows[1 + t, _ROW] = planes.rectangles[t, 2], planes.rectangles[t, 0]
-    inside = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
-    edges = Pairs(np.empty((6, _QUEUE), np.float32), np.empty((2, _QUEUE), np.int32))
+    inside = Pairs(np.empty((6, WIDTH), np.float32), np.empty((2, WIDTH), np.int32))
+    edges = Pairs(np.empty((6, WIDTH), np.float32), np.empty((2, WIDTH), np.int32))
+    block = Pairs(np.empty((6, WIDTH), np.float32), np.empty((2, WIDTH), np.int32))
     waiting_inside, waiting_edges = 0, 0
     for row in range(height):
         for column in range(0, width, WIDTH):
@@ -210,29 +198,32 @@ def edge_backward(surface, planes, colour, gradient, matrix, vertex_gradient):
                 q, count = p + 1, width - 1 - column
                 if below:
                     q, count = p + width, (width - column if row + 1 < height else 0)
-                adjoint = _adjoints(colour, gradient, height * width, p, q, count)
                 t_p = load_part(surface.triangle, p, count) + 1
                 t_q = load_part(surface.triangle, q, count) + 1
-                active = (adjoint != 0.0) & ((t_p | t_q) != 0)
-                if bits(active) == 0:
+                seen = (t_p | t_q) != 0
+                if bits(seen) == 0:
                     continue
-                depths = load_part(surface.depth, p, count), load_part(surface.depth, q, count)
-                mask = active & (t_p == t_q)
-                waiting_inside = _put(
-                    inside, waiting_inside, mask, column, row, below, adjoint, (t_p, t_q), depths
-                )
-                if waiting_inside >= WIDTH:
-                    _serve_inside(inside, WIDTH, rows, image, corners)
-                    _drop_served(inside)
-                    waiting_inside -= WIDTH
-                mask = active & (t_p != t_q)
-                waiting_edges = _put(
-                    edges, waiting_edges, mask, column, row, below, adjoint, (t_p, t_q), depths
-                )
-                if waiting_edges >= WIDTH:
-                    _serve_edges(edges, WIDTH, rows, image, corners)
-                    _drop_served(edges)
-                    waiting_edges -= WIDTH
+                adjoint = _adjoints(colour, gradient, height * width, p, q, count)
+                active, same = seen & (adjoint != 0.0), t_p == t_q
+                store(block.value, 3 * WIDTH, adjoint)
+                store(block.value, 4 * WIDTH, load_part(surface.depth, p, count))
+                store(block.value, 5 * WIDTH, load_part(surface.depth, q, count))
+                store(block.triangle, 0, t_p)
+                store(block.triangle, WIDTH, t_q)
+                left = bits(active & same)
+                while left:
+                    waiting_inside = _put(inside, waiting_inside, block, lowest(left), column, row, below)
+                    left &= left - 1
+                    if waiting_inside == WIDTH:
+                        _serve_inside(inside, WIDTH, rows, image, corners)
+                        waiting_inside = 0
+                left = bits(active & ~same)
+                while left:
+                    waiting_edges = _put(edges, waiting_edges, block, lowest(left), column, row, below)
+                    left &= left - 1
+                    if waiting_edges == WIDTH:
+                        _serve_edges(edges, WIDTH, rows, image, corners)
+                        waiting_edges = 0
     _serve_inside(inside, waiting_inside, rows, image, corners)
     _serve_edges(edges, waiting_edges, rows, image, corners)
     for t in range(triangles):

@@ -31,7 +31,7 @@ Operations, for vectors a, b, c of one type (numbers mix in as constants of all 
     to_float(a)                          sitofp
     first(n)                             BOOL: the first n lanes (none when n <= 0)
     bits(m)                              the mask as an integer, lane k is bit k: `if bits(m)` asks for any
-    popcount(k)                          of such an integer: ctpop
+    popcount(k), lowest(k)               of such an integer: how many bits, the first (k not 0): ctpop, cttz
     total(a)                             sum of the lanes in a fixed order: halves onto each other
     join(a, b)                           two F32X8 as one F32
     shifted(a, b, k)                     lanes k … k + 15 of the 32 lanes a, b; k a constant: one valignd
@@ -99,7 +99,7 @@ from paper_artifact.raster.lane_type import (
 __all__ = [
     "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "aligned_zeros", "bits",
     "compress", "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8",
-    "load_part", "load_rows", "load_unit_part", "maximum", "minimum", "odds", "popcount", "scatter",
+    "load_part", "load_rows", "load_unit_part", "lowest", "maximum", "minimum", "odds", "popcount", "scatter",
     "select", "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part",
     "to_float", "total", "zip_high", "zip_low",
 ]
@@ -218,6 +218,14 @@ def first(typing, count):
 def popcount(typing, value):
     def code(context, builder, sig, arguments):
         return builder.ctpop(arguments[0])
+
+    return types.int32(types.int32), code
+
+
+@intrinsic
+def lowest(typing, value):
+    def code(context, builder, sig, arguments):
+        return builder.cttz(arguments[0], ir.IntType(1)(1))
 
     return types.int32(types.int32), code
 
