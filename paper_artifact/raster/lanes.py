@@ -31,13 +31,11 @@ Operations, for vectors a, b, c of one type (numbers mix in as constants of all 
     to_float(a)                          sitofp
     first(n)                             BOOL: the first n lanes (none when n <= 0)
     bits(m)                              the mask as an integer, lane k is bit k: `if bits(m)` asks for any
-    popcount(k), lowest(k)               of such an integer: how many bits, the first (k not 0): ctpop, cttz
+    lowest(k)                            the number of such an integer's lowest bit: cttz; k not 0
     total(a)                             sum of the lanes in a fixed order: halves onto each other
     join(a, b)                           two F32X8 as one F32
-    shifted(a, b, k)                     lanes k … k + 15 of the 32 lanes a, b; k a constant: one valignd
     zip_low(a, b), zip_high(a, b)        a0 b0 a1 b1 … a7 b7, and a8 b8 … a15 b15
     evens(a, b), odds(a, b)              back again: the lanes of even (odd) number of the 32 lanes a, b
-    compress(a, m)                       the lanes of a where m, moved to the front; the rest is undefined
 
 Memory. Arrays are C-contiguous with elements of the vector's type; an index counts elements from the array's
 first, whatever its shape. Nothing is checked.
@@ -98,9 +96,9 @@ from paper_artifact.raster.lane_type import (
 # fmt: off
 __all__ = [
     "BOOL", "F32", "F32X8", "I32", "WIDTH", "Lanes", "absolute", "add_to_rows", "aligned_zeros", "bits",
-    "compress", "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8",
-    "load_part", "load_rows", "load_unit_part", "lowest", "maximum", "minimum", "odds", "popcount", "scatter",
-    "select", "shifted", "splat", "splat8", "splat_int", "square_root", "store", "store_part",
+    "evens", "first", "floor", "fma", "gather", "inlined", "iota", "join", "load", "load8",
+    "load_part", "load_rows", "load_unit_part", "lowest", "maximum", "minimum", "odds", "scatter",
+    "select", "splat", "splat8", "splat_int", "square_root", "store", "store_part",
     "to_float", "total", "zip_high", "zip_low",
 ]
 # fmt: on
@@ -215,38 +213,8 @@ def first(typing, count):
 
 
 @intrinsic
-def popcount(typing, value):
-    def code(context, builder, sig, arguments):
-        return builder.ctpop(arguments[0])
-
-    return types.int32(types.int32), code
-
-
-@intrinsic
 def lowest(typing, value):
     def code(context, builder, sig, arguments):
         return builder.cttz(arguments[0], ir.IntType(1)(1))
 
     return types.int32(types.int32), code
-
-
-@intrinsic(prefer_literal=True)
-def shifted(typing, a, b, k):
-    shift = k.literal_value
-
-    def code(context, builder, sig, arguments):
-        return shuffle(builder, arguments[0], arguments[1], range(shift, shift + WIDTH))
-
-    return a(a, b, k), code
-
-
-@intrinsic
-def compress(typing, a, mask):
-    def code(context, builder, sig, arguments):
-        kind = sig.args[0]
-        undefined = ir.Constant(kind.llvm, ir.Undefined)
-        return call(
-            builder, f"llvm.experimental.vector.compress.{kind.suffix}", kind.llvm, *arguments, undefined
-        )
-
-    return a(a, mask), code

@@ -29,14 +29,14 @@ from paper_artifact.kernel_cache import njit
 from paper_artifact.raster.draws import draw_lanes
 from paper_artifact.raster.lanes import (
     WIDTH,
+    aligned_zeros,
     bits,
-    compress,
     first,
     inlined,
     iota,
     load,
+    lowest,
     maximum,
-    popcount,
     select,
     splat,
     splat_int,
@@ -259,9 +259,9 @@ def list_visible(planes, met, width, surface, shown):
     order, coefficients, rectangles = planes.order, planes.coefficients, planes.rectangles
     triangle = surface.triangle
     shown_pixel, shown_triangle, shown_b0, shown_b1 = shown
-    count = 0
-    for k in range(met):
-        t = order[k]
+    weights, count = aligned_zeros(2 * WIDTH), 0
+    for place in range(met):
+        t = order[place]
         row0, row1, column0 = rectangles[t, 0], rectangles[t, 1], rectangles[t, 2]
         columns = rectangles[t, 3] - column0 + 1
         for row in range(row0, row1 + 1):
@@ -273,11 +273,15 @@ def list_visible(planes, met, width, surface, shown):
                 of_line = line(coefficients, t, np.float32(row - row0))
                 m0, m1, m2, _ = along(of_line, to_float(iota() + column))
                 inverse = 1.0 / (m0 + m1 + m2)
-                store(shown_pixel, count, compress(iota() + pixel, mine))
-                store(shown_triangle, count, splat_int(t))
-                store(shown_b0, count, compress(m0 * inverse, mine))
-                store(shown_b1, count, compress(m1 * inverse, mine))
-                count += popcount(bits(mine))
+                store(weights, 0, m0 * inverse)
+                store(weights, WIDTH, m1 * inverse)
+                left = bits(mine)
+                while left:
+                    k = lowest(left)
+                    shown_pixel[count], shown_triangle[count] = pixel + k, t
+                    shown_b0[count], shown_b1[count] = weights[k], weights[WIDTH + k]
+                    left &= left - 1
+                    count += 1
     store(shown_pixel, count, splat_int(0))
     store(shown_triangle, count, splat_int(0))
     store(shown_b0, count, splat(0.0))
