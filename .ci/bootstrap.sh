@@ -76,12 +76,19 @@ uv_python() {
     "$uv" python find --managed-python "$version"
 }
 
+# Makes the environment anew; what lies in its place goes only where this script made it.
 make_venv() {
     local base
+    rmdir "$venv" 2>/dev/null || true
+    if { [ -e "$venv" ] || [ -L "$venv" ]; } && [ ! -e "$venv/paper_artifact.made" ] && [ ! -e "$venv/paper_artifact.stamp" ]; then
+        fail "$venv is in the way: this command did not make it, and it has no Python $version with pip" \
+            "move it elsewhere, or name another folder: PAPER_ARTIFACT_VENV=FOLDER"
+    fi
     base="$(host_python)"
     [ -n "$base" ] || base="$(uv_python)" || exit 1
     say "making $venv with $base"
     rm -rf "$venv"
+    mkdir -p "$venv" && : > "$venv/paper_artifact.made"
     if ! "$base" -m venv "$venv" >/dev/null 2>&1; then
         rm -rf "$venv"
         fail "$base cannot make a virtual environment (its venv or ensurepip module is missing, or the folder is not writable)" \

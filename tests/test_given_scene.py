@@ -303,6 +303,7 @@ def test_which_views_are_held_out(photographs):
     assert held_out("auto", names[:2], walk[:2]).tolist() == [1]
     assert held_out("none", names, walk).tolist() == []
     assert held_out("4", names, walk).tolist() == [0, 4, 8]
+    assert held_out("9" * 5000, names, walk).tolist() == [0]
     assert held_out("07.jpg, 02.jpg", names, walk).tolist() == [2, 7]
     scene = load_scene(photographs, holdout="none")
     assert len(scene.train) == 11

@@ -4,6 +4,7 @@ not."""
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -253,6 +254,8 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
     for name in ("one.png", "one.bmp"):
         Image.new("RGB", (64, 48)).save(folder / name)
     assert "two photographs called one" in refused()
+    (folder / "one.bmp").rename(folder / os.fsdecode(b"m\xe9g.bmp"))
+    assert "még" in photographs_in(folder)
     folder = tmp_path / "nowhere"
     assert "no folder at" in refused()
 

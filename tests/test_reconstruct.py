@@ -61,6 +61,13 @@ def test_what_is_no_video_is_refused(video, tmp_path, capsys):
     assert "--every belongs to a video" in capsys.readouterr().err
 
 
+def test_results_do_not_lie_among_the_photographs(tmp_path, capsys):
+    for work in (tmp_path, tmp_path / "work"):
+        assert main(["reconstruct", str(tmp_path), "--work", str(work)]) == 1
+        assert "lies among the photographs" in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+
+
 def test_one_command_from_a_video_to_a_mesh(video, tmp_path, capsys):
     pytest.importorskip("pycolmap", reason="no wheel here")
     words = ["reconstruct", str(video), f"--every={EVERY}", "--budget=300", "--steps=30", "--quiet"]

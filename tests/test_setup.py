@@ -26,6 +26,7 @@ TOOLS = (
     "cat",
     "cksum",
     "dirname",
+    "rmdir",
     "grep",
     "tail",
     "tr",
@@ -229,6 +230,21 @@ def test_hints_instead_of_traces(setup, variables, words):
     assert all(word in result.stderr for word in words) and "Traceback" not in result.stderr + result.stdout
     assert not (setup.root / ".venv" / "paper_artifact.stamp").exists()
     assert setup.run("-k", "x").returncode == 0, "once the cause is gone the same command goes on"
+
+
+def test_a_folder_of_the_users_is_not_cleared_for_the_environment(setup, tmp_path):
+    setup.add("python3.11")
+    mine = tmp_path / "envs" / "notes.txt"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    for place in (mine.parent, mine):
+        result = setup.run("-k", "x", PAPER_ARTIFACT_VENV=str(place))
+        assert result.returncode == 1 and f"{place} is in the way" in result.stderr
+        assert mine.read_text() == "mine"
+    mine.unlink()
+    assert setup.run("-k", "x", PAPER_ARTIFACT_VENV=str(mine.parent)).returncode == 0, "empty"
+    (mine.parent / "bin" / "python").unlink()
+    assert setup.run("-k", "x", PAPER_ARTIFACT_VENV=str(mine.parent)).returncode == 0, "its own"
 
 
 def test_uv_brings_python_where_the_host_has_none(setup):

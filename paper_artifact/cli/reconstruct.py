@@ -63,6 +63,11 @@ def reconstruct(options: Reconstruct) -> int:
         check_writable(options.out)
     source = Path(options.photographs)
     work = options.work or OWN / cut_name(source.resolve().stem)
+    if source.resolve() in (work.resolve(), *work.resolve().parents):
+        raise InputError(
+            f"--work {work} lies among the photographs, and its pictures would be taken for some; choose a "
+            "folder elsewhere"
+        )
     scene = Source(str(work / "scene"))
     before = written(scene)
     found = photographs_scene(

@@ -9,6 +9,7 @@ is seen in several.
 
 from __future__ import annotations
 
+import os
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,7 +51,8 @@ DARK, BRIGHT = 0.02, 0.9  # linear light: darker is noise, brighter may be clipp
 def photographs_in(folder: Path | str) -> dict[str, Path]:
     """Return the pictures in a folder and its sub-folders, by name: "stem", or "sub-folder_stem".
 
-    What is hidden is left out, and sub-folders with a scene that was made of them. Raises InputError for no
+    What is hidden is left out, and sub-folders with a scene that was made of them. A name that is no UTF-8 is
+    read as Latin-1. Raises InputError for no
     folder, fewer than three pictures, and pictures whose names differ by their ending alone.
     """
     folder = Path(folder)
@@ -68,7 +70,7 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
     photographs: dict[str, Path] = {}
     for each in files:
         if each.suffix.lower() in ENDINGS:
-            name = "_".join(each.relative_to(folder).with_suffix("").parts)
+            name = _readable("_".join(each.relative_to(folder).with_suffix("").parts))
             if name in photographs:
                 raise InputError(f"{folder} has two photographs called {name}; give each a different name")
             photographs[name] = each
@@ -80,6 +82,15 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
             f"at least {LEAST} are needed, 20 to 100 are good"
         )
     return photographs
+
+
+def _readable(name: str) -> str:
+    """Return a file's name as text that every program takes."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return os.fsencode(name).decode("latin-1")
+    return name
 
 
 def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -> int:

@@ -94,8 +94,13 @@ def photographs_scene(
             digests[name] = hashlib.file_digest(read, "sha256").hexdigest()
     key = config.key(digests)
     if holds(folder, key):
-        held = load_json(folder / DESCRIPTION)["photographs"]
-        return Registered(folder, folder, **{**held, "names": tuple(held["names"])})
+        try:
+            held = load_json(folder / DESCRIPTION)["photographs"]
+            return Registered(folder, folder, **{**held, "names": tuple(held["names"])})
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{folder / DESCRIPTION} is damaged ({error}); remove the scene's folder and build it again"
+            ) from error
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
         (work := temporary / "work").mkdir()
