@@ -68,6 +68,7 @@ def _down(v):
 
 @inlined
 def _down_product(x, y, at):
+    # `_down` of the products of twelve rows of two rings.
     v5, v6 = load(x, at + 80) * load(y, at + 80), load(x, at + 96) * load(y, at + 96)
     v4, v7 = load(x, at + 64) * load(y, at + 64), load(x, at + 112) * load(y, at + 112)
     upper, lower = fma(_K4, v4 + v6, _K5 * v5), fma(_K4, v5 + v7, _K5 * v6)
@@ -115,26 +116,6 @@ def _rows(ring, at):
         load(ring, at + 144),
         load(ring, at + 160),
         load(ring, at + 176),
-    )
-
-
-@inlined
-def _product(a, b):
-    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11 = a
-    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11 = b
-    return (
-        a0 * b0,
-        a1 * b1,
-        a2 * b2,
-        a3 * b3,
-        a4 * b4,
-        a5 * b5,
-        a6 * b6,
-        a7 * b7,
-        a8 * b8,
-        a9 * b9,
-        a10 * b10,
-        a11 * b11,
     )
 
 
