@@ -155,21 +155,23 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
     """Return a copy with outputs and counts but nothing that changes from run to run.
 
     Removed: papermill's and the client's metadata (times, paths), the cell of injected parameters, widget
-    states, the interpreter's patch version. Code cells are numbered 1, 2, … as a run without injection would.
+    states, the interpreter's patch version. Other metadata stays, and a kernel that is not Jupyter's default.
+    Code cells are numbered 1, 2, … as a run without injection would.
     """
     result = nbformat.from_dict(json.loads(nbformat.writes(notebook)))
     result.cells = [
         cell for cell in result.cells if "injected-parameters" not in cell.metadata.get("tags", [])
     ]
-    result.metadata = NotebookNode(
-        {
+    for key in ("papermill", "widgets"):
+        result.metadata.pop(key, None)
+    if result.metadata.get("kernelspec", {}).get("name", KERNEL) == KERNEL:
+        result.metadata |= {
             "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": KERNEL},
             "language_info": {"file_extension": ".py", "mimetype": "text/x-python", "name": "python"},
         }
-    )
     count = 0
     for cell in result.cells:
-        for key in ("papermill", "execution", "collapsed", "scrolled"):
+        for key in ("papermill", "execution"):
             cell.metadata.pop(key, None)
         if not cell.metadata.get("tags", [True]):
             del cell.metadata["tags"]

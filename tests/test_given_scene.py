@@ -293,6 +293,13 @@ def scene_digest_without_masks(folder):
     return digest
 
 
+def test_settings_of_no_scene_are_refused(photographs):
+    for wrong in ({"downscale": 0}, {"downscale": np.nan}, {"background": (1, 1, 1)}, {"holdout": ["a"]}):
+        with pytest.raises(InputError):
+            load_scene(photographs, **wrong)
+    assert len(load_scene(photographs, holdout=2).holdout) > 1
+
+
 def test_which_views_are_held_out(photographs):
     names = [f"{index:02d}.jpg" for index in range(11)]
     # A walk: eleven steps, the first far from all others.

@@ -178,9 +178,12 @@ def test_cleaned_removes_what_changes(tmp_path):
     notebook.cells[3].metadata.update(
         papermill={"duration": 1}, execution={"iopub.status.busy": "now"}, tags=["keep"]
     )
+    notebook.metadata.authors = [{"name": "me"}]
     result = cleaned(notebook)
-    assert set(result.metadata) == {"kernelspec", "language_info"}
+    assert set(result.metadata) == {"authors", "kernelspec", "language_info"}
     assert "version" not in result.metadata.language_info
+    notebook.metadata.kernelspec = {"name": "myenv", "display_name": "mine"}
+    assert cleaned(notebook).metadata.kernelspec.name == "myenv"
     assert [cell.metadata for cell in result.cells] == [{}, {"tags": ["parameters"]}, {"tags": ["keep"]}]
     assert "papermill" in json.dumps(notebook), "the argument is left as it was"
     nbformat.validate(result)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from paper_artifact import arithmetic
-from paper_artifact.errors import InputError, require_memory
+from paper_artifact.errors import InputError, real, require_memory
 from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.mesh import Mesh, checked_mesh
@@ -77,7 +77,11 @@ class Scene:
 
 
 def load_scene(
-    path: Path | str, *, downscale: float = 1.0, background: str | None = None, holdout: str | None = None
+    path: Path | str,
+    *,
+    downscale: float = 1.0,
+    background: str | None = None,
+    holdout: str | int | None = None,
 ) -> Scene:
     """Return the COLMAP scene in the folder `path` (see `scene_root`): photographs, and a sparse model,
     binary or text. Views without photograph are left out, which a line on stderr says.
@@ -88,9 +92,11 @@ def load_scene(
     composited over it. downscale: see `images.composited`. holdout: see `held_out`; None takes
     scene.json's, which is every 8th for this package's scenes, else "auto". One image is read at a time.
 
-    Raises InputError for missing or damaged files, images of unequal size or of another aspect than their
-    camera, fewer than two views, an SfM cloud of fewer than four points.
+    Raises InputError for a downscale below 1, missing or damaged files, images of unequal size or of another
+    aspect than their camera, fewer than two views, an SfM cloud of fewer than four points.
     """
+    if not 1 <= (downscale := real(downscale)) < np.inf:
+        raise InputError(f"downscale is {downscale}; give a number of at least 1")
     path = scene_root(path)
     description = read_description(path)
     check_files(path, description)
@@ -112,7 +118,7 @@ def load_scene(
     cameras = [framed(model.camera(image), frame) for image in order]
     centres = np.stack([camera.position for camera in cameras])
     own = str(EVERY) if "key" in description else AUTO  # the study's scenes keep their held-out views
-    chosen = held_out(description.get("holdout", own) if holdout is None else holdout, names, centres)
+    chosen = held_out(description.get("holdout", own) if holdout is None else str(holdout), names, centres)
     indices = np.arange(len(names))
     train = indices[~np.isin(indices, chosen)]
 
@@ -123,7 +129,7 @@ def load_scene(
     if background == MEAN:
         colour = _mean_colour(pixels(int(view)) for view in train)
     elif background is not None:
-        colour = background_colour(background)
+        colour = background_colour(str(background))
     else:
         colour = np.array(description.get("background", (1.0, 1.0, 1.0)), dtype=np.float32)
     first = composited(pixels(0), colour, downscale)
