@@ -7,6 +7,7 @@
 
 repository="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
 venv="${PAPER_ARTIFACT_VENV:-$repository/.venv}"
+case "$venv" in /*) ;; *) venv="$PWD/$venv" ;; esac
 python="$venv/bin/python"
 locks="$repository/requirements"
 unset PYTHONHOME PYTHONPATH        # another environment's packages must not show through

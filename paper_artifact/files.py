@@ -167,6 +167,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with _writing(path):
             with open(temporary, "rb") as written:
                 os.fsync(written.fileno())
+            if place.exists():
+                shutil.copymode(place, temporary)
             os.replace(temporary, place)
 
 
@@ -250,16 +252,13 @@ def listed(folder: Path) -> dict[str, dict[str, str]]:
     where there is none or it is damaged."""
     try:
         read = load_json(folder / MANIFEST)
-        parts = {
-            part: names if isinstance(names, dict) else dict.fromkeys(names, "")
-            for part, names in read.items()
+        kept = {
+            key: each if isinstance(each, dict) else dict.fromkeys(each, "") for key, each in read.items()
         }
-        sound = all(
-            isinstance(each, str) for names in parts.values() for pair in names.items() for each in pair
-        )
+        sound = all(isinstance(word, str) for each in kept.values() for pair in each.items() for word in pair)
     except (OSError, ValueError, AttributeError, TypeError):
         return {}
-    return parts if sound else {}
+    return kept if sound else {}
 
 
 def _unlisted(folder: Path) -> Path | None:

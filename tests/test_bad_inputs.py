@@ -196,3 +196,14 @@ def test_a_record_that_is_not_one(refused, tmp_path):
     assert cli.main(arguments) == 0  # whole, it is taken for the run
     path.write_text(path.read_text()[:1000])
     refused(arguments, str(path), "damaged or cut off", "delete it and run again")
+
+
+def test_a_name_that_is_too_long_is_one_sentence_in_python_too():
+    from paper_artifact.scene.load import load_scene
+    from paper_artifact.scene.shapes import find_mesh
+    from paper_artifact.soup.state import load_soup
+
+    for read in (load_scene, find_mesh, load_soup):
+        for name in ("x" * 300, "x" * 300 + ".obj"):
+            with pytest.raises(InputError):
+                read(name)

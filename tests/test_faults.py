@@ -383,18 +383,12 @@ def test_a_figure_of_the_users_is_not_replaced_by_a_notebooks(folder):
 
 def test_a_file_of_the_scene_that_is_read_is_not_replaced(folder, capsys):
     Path("scene/sparse").mkdir(parents=True)
-    Path("scene/sparse/points3D.bin").write_text("precious")
+    Path("scene/transforms.json").write_text('{"ply_file_path": "cloud.ply"}')
     words = ["evaluate", "ball.ply", "--target", "ball.ply", "--scene", "scene", "--json"]
-    assert cli.main([*words, "scene/sparse/points3D.bin"]) == 2
-    assert "is a file of --scene scene" in capsys.readouterr().err
-
-
-def test_a_name_that_is_too_long_is_one_sentence_in_python_too():
-    from paper_artifact.scene.load import load_scene
-    from paper_artifact.scene.shapes import find_mesh
-    from paper_artifact.soup.state import load_soup
-
-    for read in (load_scene, find_mesh, load_soup):
-        for name in ("x" * 300, "x" * 300 + ".obj"):
-            with pytest.raises(InputError):
-                read(name)
+    for name in ("sparse/points3D.bin", "images.txt", "cloud.ply"):
+        Path("scene", name).write_text("precious")
+        assert cli.main([*words, f"scene/{name}"]) == 2
+        assert "is a file of --scene scene" in capsys.readouterr().err
+    Path("a.gltf").write_text('{"buffers": [{"uri": "a.bin"}]}')
+    Path("a.bin").write_text("precious")
+    assert cli.main(["certify", "a.gltf", "--json", "a.bin"]) == 2

@@ -237,6 +237,13 @@ def test_files_and_folders_have_the_rights_that_the_user_wants(tmp_path):
         } == {0o666 & ~mask}
 
 
+def test_a_file_that_is_replaced_keeps_its_rights(tmp_path):
+    write_text(tmp_path / "a", "private")
+    (tmp_path / "a").chmod(0o600)
+    write_text(tmp_path / "a", "again")
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o600
+
+
 def test_a_folder_of_the_users_that_looks_temporary_stays(tmp_path):
     for name in (".partial-thesis", ".partial-empty"):
         (tmp_path / name).mkdir()

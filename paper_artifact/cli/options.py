@@ -42,6 +42,12 @@ POSITIONAL = "positional"
 Positional = Annotated[T, POSITIONAL]
 Source = NewType("Source", str)  # a file or folder to read, or a name of the catalogue
 LONGEST_NAME, LONGEST_PATH = 255, 4000  # bytes that file systems take
+MODEL = ("cameras", "images", "points3D", "rigs", "frames")  # files of COLMAP's
+SCENE_FILES = {
+    "scene.json",
+    "transforms.json",
+    *(f"{name}.{end}" for name in MODEL for end in ("txt", "bin", "ply")),
+}
 SPARE = 35  # bytes that temporary and derived files add to a name
 
 
@@ -88,6 +94,22 @@ class _Type:
         self.item: Any = typing.get_args(hint)[0] if self.container else hint
 
 
+class _Once(argparse.Action):
+    """Stores an option's value. A second one is refused: verbs differ in what takes several."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: Any = None,
+    ) -> None:
+        if self.dest in (given := vars(namespace).setdefault("given_once", set())):
+            raise argparse.ArgumentError(self, "is given twice; give it once")
+        given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     """Declare an option of `parser` for each field of the dataclass `kind`."""
     hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
@@ -110,7 +132,8 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
             action = parser.add_argument(each.name, **settings)
         else:
             settings |= {"nargs": "+"} if about.container is tuple else {}
-            settings |= {"required": required} if about.item is not bool else {}
+            if about.item is not bool:
+                settings |= {"required": required, "action": settings.get("action", _Once)}
             action = parser.add_argument(f"--{name}", dest=each.name, **settings)
         if about.item in (str, Source):
             action.completer = _proposals  # type: ignore[attr-defined]
@@ -168,8 +191,18 @@ def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
                     f"{other} and {flag} are both {path}, which would be lost; give one another name"
                 )
             top = Path(realpath(known))
-            inside = kind is Source and path.is_file() and top in Path(realpath(path)).parents
-            if inside and (path.parent.resolve() != top or path.name in ("scene.json", "transforms.json")):
+            if kind is not Source or not path.is_file():
+                continue
+            beside = path.parent.resolve() == (top if top.is_dir() else top.parent)
+            used = (
+                path.name in SCENE_FILES if beside and top.is_dir() else top in Path(realpath(path)).parents
+            )
+            names = (
+                top / "transforms.json" if top.is_dir() else top if top.suffix.lower() == ".gltf" else None
+            )
+            if beside and names and names.is_file():
+                used |= path.name.encode() in names.read_bytes()
+            if used:
                 raise WrongUsage(f"{flag} {path} is a file of {other} {known}; give another name")
 
 
