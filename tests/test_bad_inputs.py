@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.errors import InputError
 from paper_artifact.mesh import mesh_hash
 from paper_artifact.record.store import make_record, write_record
 from paper_artifact.scene.fetch import fetch
