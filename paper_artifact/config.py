@@ -269,8 +269,6 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InputError(f"{option} takes NAME=VALUE, got {_brief(text)}")
-        if name.replace("-", "_") in parsed:
-            raise InputError(f"{option} {name} is given twice; give it once")
         try:
             parsed[name.replace("-", "_")] = ast.literal_eval(value)
         except (ValueError, SyntaxError):

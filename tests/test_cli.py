@@ -122,8 +122,6 @@ def test_options_are_what_the_fields_say(verb, capsys):
         (["fetch", "--nope"], "usage:"),
         (["trial", "--number", "many"], "usage:"),
         (["trial", "--size", "huge"], "usage:"),
-        (["trial", "--number", "4", "--number", "5"], "is given twice"),
-        (["train", "sphere", "--set", "budget=3", "--set", "budget=4"], "--set budget is given twice"),
         (["trial", "--number", "10"], "--number must be from 2 to 9, got 10"),
         (["trial", "x" * 300], "place names a file by 300 bytes"),
         (["trial", "--json", "ε" * 120], "--json names a file by 240 bytes"),

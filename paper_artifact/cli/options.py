@@ -94,22 +94,6 @@ class _Type:
         self.item: Any = typing.get_args(hint)[0] if self.container else hint
 
 
-class _Once(argparse.Action):
-    """Stores an option's value. A second one is refused: verbs differ in what takes several."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: Any = None,
-    ) -> None:
-        if self.dest in (given := vars(namespace).setdefault("given_once", set())):
-            raise argparse.ArgumentError(self, "is given twice; give it once")
-        given.add(self.dest)
-        setattr(namespace, self.dest, values)
-
-
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     """Declare an option of `parser` for each field of the dataclass `kind`."""
     hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
@@ -132,8 +116,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
             action = parser.add_argument(each.name, **settings)
         else:
             settings |= {"nargs": "+"} if about.container is tuple else {}
-            if about.item is not bool:
-                settings |= {"required": required, "action": settings.get("action", _Once)}
+            settings |= {"required": required} if about.item is not bool else {}
             action = parser.add_argument(f"--{name}", dest=each.name, **settings)
         if about.item in (str, Source):
             action.completer = _proposals  # type: ignore[attr-defined]
