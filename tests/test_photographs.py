@@ -27,6 +27,7 @@ from paper_artifact.photos.pictures import (
     prepared,
     size_doubts,
     to_shown,
+    unread,
 )
 from paper_artifact.photos.register import Registered
 from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright, useless
@@ -249,6 +250,7 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
         assert main(["photos", str(folder), "--out", str(tmp_path / "s"), *words]) == (2 if words else 1)
         return capsys.readouterr().err
 
+    assert unread(folder) == ["1 file (.heic) not read; convert to JPEG"]
     assert "has 2 photographs" in refused() and "it also has .heic: convert" in refused()
     assert "--size must be from 64" in refused("--size", "9")
     for name in ("one.png", "one.bmp"):

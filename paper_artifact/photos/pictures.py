@@ -29,6 +29,21 @@ FRAMES = 60  # of a video that are taken about, unless it is said how many
 SHARPNESS_WIDTH = 320  # pixels of the frames that sharpness is compared on
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
+UNREAD = (
+    ".heic",
+    ".heif",
+    ".avif",
+    ".jxl",
+    ".jp2",
+    ".gif",
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".nef",
+    ".arw",
+    ".orf",
+    ".rw2",
+)
 QUALITY = 95  # of JPEG files written between photograph and scene
 LEAST_KEPT = 0.5  # part of the most frequent size's pixels that the common size must have, or it is told
 LENS_TAGS = (
@@ -60,13 +75,7 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
         raise InputError(
             f"no folder at {folder}; give the folder that holds the photographs, or a video file"
         )
-    made = {each.parent for each in folder.rglob(DESCRIPTION)} - {folder}
-    files = [
-        each
-        for each in sorted(folder.rglob("*"))
-        if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
-        if not made.intersection(each.parents)
-    ]
+    files = _files(folder)
     photographs: dict[str, Path] = {}
     for each in files:
         if each.suffix.lower() in ENDINGS:
@@ -82,6 +91,28 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
             f"at least {LEAST} are needed, 20 to 100 are good"
         )
     return photographs
+
+
+def _files(folder: Path) -> list[Path]:
+    made = {each.parent for each in folder.rglob(DESCRIPTION)} - {folder}
+    return [
+        each
+        for each in sorted(folder.rglob("*"))
+        if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
+        if not made.intersection(each.parents)
+    ]
+
+
+def unread(folder: Path) -> list[str]:
+    """Return what is left out of a folder of photographs since its kind is not read, at most one sentence."""
+    endings = Counter(each.suffix.lower() for each in _files(folder))
+    found = [ending for ending in (*UNREAD, *VIDEOS) if endings[ending]]
+    count = sum(endings[ending] for ending in found)
+    return (
+        [f"{count} {'file' if count == 1 else 'files'} ({' '.join(found)}) not read; convert to JPEG"]
+        if found
+        else []
+    )
 
 
 def _readable(name: str) -> str:

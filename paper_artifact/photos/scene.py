@@ -29,6 +29,7 @@ from paper_artifact.photos.pictures import (
     photographs_in,
     prepared,
     size_doubts,
+    unread,
     video_frames,
 )
 from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
@@ -109,7 +110,11 @@ def photographs_scene(
             video_frames(source, config.every, work / "frames", progress)
             photographs = photographs_in(work / "frames")
         ready = prepared(photographs, work / "pictures", work / "masks", config.features, progress)
-        for doubt in [*size_doubts(ready.sizes, config.size), *useless(ready.blank, digests)]:
+        for doubt in [
+            *([] if video else unread(source)),
+            *size_doubts(ready.sizes, config.size),
+            *useless(ready.blank, digests),
+        ]:
             tell(doubt)
         found = register(work / "pictures", ready.groups, work / "masks", work, config.size, progress)
         for doubt in doubts(found, [f"{name}.jpg" for name in photographs]):
