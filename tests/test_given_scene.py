@@ -297,6 +297,8 @@ def test_settings_of_no_scene_are_refused(photographs):
     for wrong in ({"downscale": 0}, {"downscale": np.nan}, {"background": (1, 1, 1)}, {"holdout": ["a"]}):
         with pytest.raises(InputError):
             load_scene(photographs, **wrong)
+    with pytest.raises(InputError, match="named by its folder's path"):
+        load_scene(None)
     assert len(load_scene(photographs, holdout=2).holdout) > 1
 
 

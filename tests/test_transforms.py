@@ -128,6 +128,16 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
             {"frames": [{"file_path": "train/r_0", "transform_matrix": np.diag([1, 1, -1, 1]).tolist()}] * 2},
             "is no pose",  # but a mirror
         ),
+        (
+            {
+                "frames": [
+                    {"file_path": "train/r_0", "transform_matrix": (np.eye(4) + np.eye(4, k=-3)).tolist()}
+                ]
+                * 2
+            },
+            "if it lists columns, transpose it",
+        ),
+        ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
         ({"w": 1e-300, "fl_x": 70.0}, "are none of a camera of 60 pixels"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR, which is not read"),
@@ -169,6 +179,11 @@ def test_a_frame_has_its_own_intrinsics(folder, cameras):
     ):
         camera = read_transforms(changed(folder, **values))[0].camera
         assert np.allclose((camera.focal_x, camera.focal_y), focal)
+
+
+def test_nerfstudios_list_of_distortions_is_read(folder):
+    view = read_transforms(changed(folder, distortion_params=[0.1, 0.02, 0.003, 0, 0.01, -0.005]))[0]
+    assert view.distortion == (0.1, 0.02, 0.003, 0.01, -0.005)
 
 
 @pytest.mark.parametrize("k1", [-0.2, 0.2])

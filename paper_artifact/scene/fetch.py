@@ -182,6 +182,8 @@ def fetch(
     or not obtainable key, a wrong sha256, a file missing in the mirror, an interrupted download, or no
     network.
     """
+    if not isinstance(key, str):
+        raise InputError(f"a mesh is named by its key, not by {key!r:.60}")
     chosen = photo_sets().get(key)
     if chosen is None:
         return _fetched(source(key), mirror, downloads, quiet)

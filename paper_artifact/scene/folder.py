@@ -33,6 +33,8 @@ def scene_root(path: Path | str) -> Path:
     the undistorted photographs, whose own camera models could not be read. Raises InputError when there is no
     such folder.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"a scene is named by its folder's path, not by {path!r:.60}")
     path = Path(path)
     if not isdir(path):  # False for a name that is too long
         raise InputError(f"no scene folder at {path}; make one with `python -m paper_artifact scene`")

@@ -95,8 +95,8 @@ def load_scene(
     Raises InputError for a downscale below 1, missing or damaged files, images of unequal size or of another
     aspect than their camera, fewer than two views, an SfM cloud of fewer than four points.
     """
-    if not 1 <= (downscale := real(downscale)) < np.inf:
-        raise InputError(f"downscale is {downscale}; give a number of at least 1")
+    if not 1 <= real(downscale) < np.inf:
+        raise InputError(f"downscale is {downscale!r:.60}; give a number of at least 1")
     path = scene_root(path)
     description = read_description(path)
     check_files(path, description)

@@ -44,6 +44,7 @@ OTHER_LENSES = (
     *("is_fisheye", "fisheye", "is_latlong", "latlong", "equirectangular", "is_equirectangular"),
     *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6"),
 )
+OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distortion_params
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
 SHORTEST, LONGEST = 0.01, 1e4  # focal lengths of real cameras, in widths of the image
@@ -203,7 +204,13 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30)
     if arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
+    if not np.abs(matrix[3] - (0, 0, 0, 1)).max() < 1e-6:
+        raise InputError(
+            f"{file}: the transform_matrix of {name} ends with the row {matrix[3].tolist()}, not 0, 0, 0, 1; "
+            "if it lists columns, transpose it"
+        )
     both = root | own
+    both = dict(zip(OPENCV, both.get("distortion_params") or (), strict=False)) | both
     model = str(both.get("camera_model") or "PINHOLE").upper()
     lens = next(
         (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
