@@ -133,7 +133,7 @@ def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 
-def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]:
+def remarks(config: RunConfig, scene: Scene, target: Bundle | Mesh | None) -> list[str]:
     """Return what a user should know before a run on a scene that was given, a sentence each."""
     found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
     if wanted > count:
@@ -141,8 +141,8 @@ def remarks(config: RunConfig, scene: Scene, bundle: Bundle | None) -> list[str]
             f"the run would start from {wanted} triangles ({config.initial_ratio:g} times the budget of "
             f"{config.budget}), but the SfM cloud has {count} points: it starts from {count}"
         )
-    if bundle is not None:
-        ratio = scene.frame.length(bundle.diagonal) / frame_diagonal(scene.points)
+    if target is not None:
+        ratio = scene.frame.length(target.diagonal) / frame_diagonal(scene.points)
         if not 0.5 <= ratio <= 2:
             found.append(
                 f"the target's diagonal is {ratio:.3g} times the SfM cloud's: bring both to one unit of "
@@ -204,7 +204,7 @@ class OwnScene(OwnMesh):
 
     def remarks(self, scene: Scene) -> list[str]:
         """Return what a user should know before the run, a sentence each."""
-        return remarks(self.given.config, scene, self.given.bundle)
+        return remarks(self.given.config, scene, self.given.bundle or self.given.mesh)
 
     def content(self) -> str:
         """Return a hash of what the run was given, which names its checkpoint."""

@@ -178,6 +178,17 @@ def test_words_and_targets(photographs, tmp_path, capsys):
     big = replace(build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,)))
     (_, scale) = remarks(given.config, load_scene(given.folder), big)
     assert "the target's diagonal is 9" in scale or "times the SfM cloud's" in scale
+    far = [
+        *QUIET,
+        "--steps=2",
+        "--set=dump_steps=2,",
+        "--condition=C1",
+        "--loss=samples=512",
+        f"--target={tmp_path / 'far.ply'}",
+    ]
+    trimesh.Trimesh(1000 * sphere.vertices, sphere.faces).export(tmp_path / "far.ply")
+    cli.main(["train", "--scene", str(photographs), *far, f"--results={tmp_path / 'far'}"])
+    assert "bring both to one unit of length" in capsys.readouterr().err
 
 
 def test_a_photograph_that_shows_nothing_is_named(own, capsys):

@@ -246,7 +246,8 @@ def offset_table(solid: SoupSolid) -> str:
         )
     elif solid.rung is None:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
-        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train further"
+        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}; a soup: train "
+        said += "further; a mesh: what lies far from the body makes ε large, remove it"
         if solid.hollow:
             most = max(solid.hollow, key=lambda rung: rung.backed)
             b0, b1, _ = solid.wanted.betti

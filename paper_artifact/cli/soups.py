@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from paper_artifact.scene.load import Scene
     from paper_artifact.soup.state import Soup
 
+ELSEWHERE = 0.5  # Chamfer over the target's diagonal
 FORMATS = ("ply", "glb", "png", "html")
 
 
@@ -131,6 +132,10 @@ def _table(result: dict) -> str:
             f"Chamfer {100 * result['chamfer']:.3f} % (mean of both directions; "
             f"sum {100 * result['chamfer_sum']:.3f} %), Hausdorff95 {100 * result['hausdorff95']:.3f} %"
         )
+        if result["chamfer"] > ELSEWHERE:
+            lines.append(
+                "warning: that is far: does the target lie elsewhere, or has it another unit of length?"
+            )
     return "\n".join([*lines, *_image_lines(result)])
 
 

@@ -34,7 +34,8 @@ MOST_STEPS = 4_000_000  # bases × vertices
 ROUNDS = 4  # of the search from the loops' own vertices
 ON_LOOP = 12  # of these, on each loop
 PUSH = 0.01  # of a vertex's shortest edge
-PRIME = 2**31 - 1
+PRIME = 2**25 - 39  # sums of 2,000 products stay in int64
+MOST_HANDLES = 150  # of a component; the search takes minutes there
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +177,7 @@ def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tup
 
     The mesh must be closed, orientable and a manifold, as a certificate says, and wound outwards; a mesh that
     is wound inwards as a whole is taken as if it were not. Raises InputError where inside and outside cannot
-    be told apart, as in a surface that crosses itself.
+    be told apart, as in a surface that crosses itself, and for a component of more than MOST_HANDLES handles.
     """
     stage = progress or (lambda name: None)
     labels, volumes = _components(mesh)
@@ -187,7 +188,12 @@ def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tup
         faces = np.searchsorted(own, mesh.faces[labels[mesh.faces[:, 0]] == label])
         if len(own) - len(faces) // 2 == 2:
             continue
-        stage(f"loops of component {label + 1} of {len(volumes)}")
+        if (genus := 1 - (len(own) - len(faces) // 2) // 2) > MOST_HANDLES:
+            raise InputError(
+                f"component {label + 1} has {genus:,} handles; loops are looked for up to {MOST_HANDLES}, as "
+                "more take hours: cut a part out of the mesh"
+            )
+        stage(f"loops of component {label + 1} of {len(volumes)}, {genus} handles")
         surface = _Surface(mesh.vertices[own], faces)
         for kind, vertices in _loops_of(surface, outward):
             found.append(Loop(kind, own[vertices], surface.length_of(vertices)))
@@ -277,21 +283,22 @@ def _bases(surface: _Surface) -> list[int]:
 
 def _independent(candidates: Iterable[tuple], count: int) -> list[tuple]:
     """Return the shortest `count` candidates whose classes are independent (modulo a large prime)."""
-    basis: dict[int, list[int]] = {}
-    kept = []
+    kept: list[tuple] = []
+    pivots: list[int] = []
+    basis = np.zeros((0, 0), dtype=np.int64)  # rows that are 1 at their own pivot, 0 at the others'
     for candidate in sorted(candidates, key=lambda each: each[0]):
-        row = [int(x) % PRIME for x in candidate[1]]
-        for pivot, other in sorted(basis.items()):
-            if row[pivot]:
-                factor = row[pivot]
-                row = [(x - factor * y) % PRIME for x, y in zip(row, other, strict=True)]
-        lead = next((i for i, x in enumerate(row) if x), None)
-        if lead is not None:
-            inverse = pow(row[lead], -1, PRIME)
-            basis[lead] = [x * inverse % PRIME for x in row]
-            kept.append(candidate)
-            if len(kept) == count:
-                break
+        row = candidate[1] % PRIME
+        if kept:
+            row = (row - row[pivots] @ basis) % PRIME
+        if not row.any():
+            continue
+        lead = int(np.flatnonzero(row)[0])
+        row = row * pow(int(row[lead]), -1, PRIME) % PRIME
+        basis = (basis - basis[:, lead, None] * row) % PRIME if kept else basis.reshape(0, len(row))
+        basis, pivots = np.vstack([basis, row]), [*pivots, lead]
+        kept.append(candidate)
+        if len(kept) == count:
+            break
     return kept
 
 

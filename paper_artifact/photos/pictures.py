@@ -26,6 +26,7 @@ from paper_artifact.scene.images import has_transparency, is_blank, opened, size
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 FRAMES = 60  # of a video that are taken about, unless it is said how many
+COMPLETE = 0.95  # of the frames that a video declares; some end a few short
 SHARPNESS_WIDTH = 320  # pixels of the frames that sharpness is compared on
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
@@ -43,6 +44,17 @@ UNREAD = (
     ".arw",
     ".orf",
     ".rw2",
+)
+DERIVED = (
+    "masks",
+    "mask",
+    "dense",
+    "undistorted",
+    "images_2",
+    "images_4",
+    "images_8",
+    "thumbs",
+    "thumbnails",
 )
 QUALITY = 95  # of JPEG files written between photograph and scene
 LEAST_KEPT = 0.5  # part of the most frequent size's pixels that the common size must have, or it is told
@@ -66,9 +78,9 @@ DARK, BRIGHT = 0.02, 0.9  # linear light: darker is noise, brighter may be clipp
 def photographs_in(folder: Path | str) -> dict[str, Path]:
     """Return the pictures in a folder and its sub-folders, by name: "stem", or "sub-folder_stem".
 
-    What is hidden is left out, and sub-folders with a scene that was made of them. A name that is no UTF-8 is
-    read as Latin-1. Raises InputError for no
-    folder, fewer than three pictures, and pictures whose names differ by their ending alone.
+    What is hidden is left out, and sub-folders with a scene that was made of them or that are DERIVED. A name
+    that is no UTF-8 is read as Latin-1. Raises InputError for no folder, fewer than three pictures, and
+    pictures whose names differ by their ending alone.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -94,25 +106,30 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
 
 
 def _files(folder: Path) -> list[Path]:
+    """Return what may be photographs: nothing hidden, of a scene made before, or in a folder DERIVED."""
     made = {each.parent for each in folder.rglob(DESCRIPTION)} - {folder}
     return [
         each
         for each in sorted(folder.rglob("*"))
         if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
-        if not made.intersection(each.parents)
+        if not made.intersection(each.parents) and not _derived(folder, each)
     ]
 
 
+def _derived(folder: Path, file: Path) -> list[str]:
+    return [part for part in file.relative_to(folder).parts[:-1] if part.lower() in DERIVED]
+
+
 def unread(folder: Path) -> list[str]:
-    """Return what is left out of a folder of photographs since its kind is not read, at most one sentence."""
+    """Return what is left out of a folder of photographs, a sentence for kinds and one for sub-folders."""
     endings = Counter(each.suffix.lower() for each in _files(folder))
     found = [ending for ending in (*UNREAD, *VIDEOS) if endings[ending]]
     count = sum(endings[ending] for ending in found)
-    return (
-        [f"{count} {'file' if count == 1 else 'files'} ({' '.join(found)}) not read; convert to JPEG"]
-        if found
-        else []
-    )
+    told = [f"{count} file{'s' * (count > 1)} ({' '.join(found)}) not read; convert to JPEG"] if found else []
+    copies = {part for each in folder.rglob("*.*") for part in _derived(folder, each)}
+    if copies:
+        told.append(f"left out as copies or masks: {', '.join(sorted(copies))}; give such a folder by itself")
+    return told
 
 
 def _readable(name: str) -> str:
@@ -129,7 +146,7 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
 
     None: as many as leave about `FRAMES`. Sharp: the variance of the Laplacian of its grey picture. Frames
     are turned as the file says. PyAV decodes. Raises InputError where PyAV is missing, the file is no video
-    or is cut off before three frames, or `every` leaves fewer than three.
+    or is cut off, or `every` leaves fewer than three.
     """
     try:
         import av
@@ -162,6 +179,10 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
                     best, taken = -1.0, None
             if taken is not None and seen % every > every // 2:
                 _write_frame(taken, folder, seen)
+            if seen < COMPLETE * stream.frames:
+                raise InputError(
+                    f"{video} is cut off: it says {stream.frames} frames and has {seen}; copy it again"
+                )
     except (av.FFmpegError, OSError, ValueError) as error:
         if isinstance(error, OSError) and not isinstance(error, av.FFmpegError):
             raise
