@@ -246,8 +246,8 @@ def offset_table(solid: SoupSolid) -> str:
         )
     elif solid.rung is None:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
-        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}; a soup: train "
-        said += "further; a mesh: what lies far from the body makes ε large, remove it"
+        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train "
+        said += "further; from a mesh remove what lies far from the body: it makes ε large"
         if solid.hollow:
             most = max(solid.hollow, key=lambda rung: rung.backed)
             b0, b1, _ = solid.wanted.betti
