@@ -158,6 +158,13 @@ def test_wrong_wishes_are_one_sentence(words, code, said, tmp_path, monkeypatch,
     assert not list(tmp_path.iterdir())
 
 
+def test_more_handles_than_can_be_looked_for_are_refused(monkeypatch):
+    monkeypatch.setattr("paper_artifact.ingest.handles.MOST_HANDLES", 1)
+    assert len(find_loops(make_shape("torus"))) == 2
+    with pytest.raises(InputError, match="has 2 handles; loops are looked for up to 1"):
+        find_loops(make_shape("double_torus"))
+
+
 def test_a_mesh_of_others_loses_its_hole():
     mesh = find_mesh("bob")
     assert [certify_mesh(cut_and_capped(mesh, each)).genus for each in find_loops(mesh)] == [0, 0]

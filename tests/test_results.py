@@ -111,6 +111,12 @@ def test_step_0_is_there_where_a_run_starts_as_the_study_does(tables):
     assert "B1" not in set(first["condition"]), "its levers act on the first triangles"
 
 
+def test_bars_that_are_no_pairs_are_a_sentence():
+    for bars in ([[1.0, 2.0], [3.0]], [[1.0, 2.0, 3.0]]):
+        with pytest.raises(InputError, match="bars that are no pairs"):
+            results._bars(bars)
+
+
 def test_a_pickle_beside_records_of_others_is_not_opened(tmp_path, monkeypatch):
     write_baseline(tmp_path / "runs", "sphere", 0)
     monkeypatch.setattr(results, "RESULTS", tmp_path)
