@@ -69,17 +69,22 @@ def _down(v):
 @inlined
 def _down_product(x, y, at):
     # `_down` of the products of twelve rows of two rings.
-    v5, v6 = load(x, at + 80) * load(y, at + 80), load(x, at + 96) * load(y, at + 96)
-    v4, v7 = load(x, at + 64) * load(y, at + 64), load(x, at + 112) * load(y, at + 112)
-    upper, lower = fma(_K4, v4 + v6, _K5 * v5), fma(_K4, v5 + v7, _K5 * v6)
-    v3, v8 = load(x, at + 48) * load(y, at + 48), load(x, at + 128) * load(y, at + 128)
-    upper, lower = fma(_K3, v3 + v7, upper), fma(_K3, v4 + v8, lower)
-    v2, v9 = load(x, at + 32) * load(y, at + 32), load(x, at + 144) * load(y, at + 144)
-    upper, lower = fma(_K2, v2 + v8, upper), fma(_K2, v3 + v9, lower)
-    v1, v10 = load(x, at + 16) * load(y, at + 16), load(x, at + 160) * load(y, at + 160)
-    upper, lower = fma(_K1, v1 + v9, upper), fma(_K1, v2 + v10, lower)
-    v0, v11 = load(x, at) * load(y, at), load(x, at + 176) * load(y, at + 176)
-    return fma(_K0, v0 + v10, upper), fma(_K0, v1 + v11, lower)
+    return _down(
+        (
+            load(x, at) * load(y, at),
+            load(x, at + 16) * load(y, at + 16),
+            load(x, at + 32) * load(y, at + 32),
+            load(x, at + 48) * load(y, at + 48),
+            load(x, at + 64) * load(y, at + 64),
+            load(x, at + 80) * load(y, at + 80),
+            load(x, at + 96) * load(y, at + 96),
+            load(x, at + 112) * load(y, at + 112),
+            load(x, at + 128) * load(y, at + 128),
+            load(x, at + 144) * load(y, at + 144),
+            load(x, at + 160) * load(y, at + 160),
+            load(x, at + 176) * load(y, at + 176),
+        )
+    )
 
 
 @inlined
