@@ -25,7 +25,7 @@ KEPT = Path(__file__).with_suffix(".json")
 ROOT = KEPT.parents[1]
 
 # Name → arguments of `python -m paper_artifact`, in order, in one folder; {mesh}: a torus made here, {bob}: a
-# committed soup. Later ones use what earlier ones made: --only takes these too.
+# committed soup. Later ones use what earlier ones made, which --only has to match too.
 BOB = ROOT / "results" / "soups" / "bob-C1-s0-3d08ae5771c7.npz"
 SHORT = "--device cpu --quiet --results . --steps 120 --set size=64 --set views=12 --set dump_steps=40,80,120"
 TERM = "--set budget=300 --set resample_every=30 --loss samples=512"
