@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
-from paper_artifact.certify.homology import edges_of, forest, labels_of_graph
+from paper_artifact.certify.homology import edges_of, labels_of_graph
 from paper_artifact.errors import InputError
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
@@ -66,7 +66,9 @@ class _Surface:
         both = np.concatenate([self.edges, self.edges[:, ::-1]])
         self.graph = coo_array((np.tile(self.lengths, 2), both.T), shape=(len(points),) * 2).tocsr()
         self.keys = self.edges[:, 0] * len(points) + self.edges[:, 1]
-        tree = forest(np.ascontiguousarray(self.edges), len(points))
+        order, before = breadth_first_order(self.graph, 0, directed=False)
+        tree = np.zeros(len(self.edges), dtype=bool)
+        tree[self.between(before[order[1:]], order[1:])[0]] = True
         beside = np.argsort(sides.reshape(-1), kind="stable").reshape(-1, 2) // 3
         free = np.flatnonzero(~tree)
         dual = coo_array((np.ones(len(free)), beside[free].T), shape=(len(faces),) * 2).tocsr()
