@@ -60,9 +60,9 @@ def samples(folder: Path) -> dict[str, Sample]:
 
 
 def _scenes(folder: Path) -> dict[str, Sample]:
-    from paper_artifact.files import write_json, write_npz
+    from paper_artifact.files import write_json
     from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, write_model
-    from paper_artifact.scene.load import load_ground_truth, load_scene
+    from paper_artifact.scene.load import load_scene
 
     draws = stream(0, "fuzz scene")
     names = ["a.png", "b.jpg", "c.tif", "d.png"]
@@ -93,12 +93,6 @@ def _scenes(folder: Path) -> dict[str, Sample]:
     write_json(scene / "scene.json", {"background": [1.0, 0.5, 0.0], "radius": 1.0, "key": "x"})
     found["scene.json"] = Sample(
         scene / "scene.json", partial(load_scene, scene), (mutate_bytes, mutate_json)
-    )
-    ball = trimesh.creation.icosphere(1)
-    truth = {"vertices": ball.vertices, "faces": ball.faces, "name": np.array("ball"), "betti": np.arange(3)}
-    write_npz(scene / "ground_truth.npz", truth, compressed=False)
-    found["ground truth"] = Sample(
-        scene / "ground_truth.npz", partial(load_ground_truth, scene), (mutate_bytes, mutate_zip)
     )
     return found
 

@@ -21,7 +21,7 @@ from paper_artifact.mesh import load_mesh
 from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.images import MOST_PIXELS
-from paper_artifact.scene.load import load_ground_truth, load_scene
+from paper_artifact.scene.load import load_scene
 from tests.fuzz_readers import fuzz
 
 pytestmark = pytest.mark.faults
@@ -230,26 +230,6 @@ def test_records_that_unpack_without_end_are_refused(monkeypatch):
     for value in ({"#same": 0, "#count": 10**12}, nested):
         with pytest.raises(ValueError, match="without end"):
             unpack(value)
-
-
-@pytest.mark.parametrize("place", [0.02, 0.3, 0.5, 0.7, 0.98])
-def test_a_bit_that_flipped_in_the_ground_truth_is_refused(place, scene):
-    folder = scene()
-    ball = trimesh.creation.icosphere(1)
-    truth = {
-        "vertices": ball.vertices,
-        "faces": ball.faces,
-        "name": np.array("ball"),
-        "betti": np.array([1, 0, 1]),
-    }
-    file = folder / "ground_truth.npz"
-    write_npz(file, truth, compressed=False)
-    assert load_ground_truth(folder).betti == (1, 0, 1)
-    data = bytearray(file.read_bytes())
-    data[int(place * len(data))] ^= 1
-    file.write_bytes(data)
-    with pytest.raises(InputError, match="ground_truth.npz is damaged"):
-        load_ground_truth(folder)
 
 
 def test_a_zip_opens_nothing_outside_of_it(tmp_path):

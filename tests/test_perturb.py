@@ -40,7 +40,7 @@ def clean(tmp_path_factory) -> Scene:
 
 
 def test_a_clean_scene_keeps_the_key_it_had():
-    values = asdict(SMALL)
+    values = asdict(SMALL) | {"texture_frequency": 1.0}
     del values["perturbation"]
     content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(SPHERE), "name": "sphere"}
     text = json.dumps(content, sort_keys=True)

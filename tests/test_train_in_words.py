@@ -15,7 +15,7 @@ from paper_artifact.cli.runs import audited, closing_notes
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_term
 from paper_artifact.record.store import find_records, read_record, recorded_path
-from paper_artifact.scene.load import load_ground_truth, load_scene
+from paper_artifact.scene.load import load_scene
 from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.loop import train
 from tests.tiny_run import tiny_arguments, tiny_config
@@ -40,8 +40,6 @@ def test_a_scene_without_its_mesh_is_trained(samples, results, monkeypatch):
     monkeypatch.setattr("paper_artifact.topology.bundle.build_from_mesh", None)
     scene = load_scene(folder)
     config = tiny_config(condition="T1", loss={"betti": (1, 0, 1), "samples": samples})
-    with pytest.raises(InputError, match=r"has no ground_truth\.npz"):
-        load_ground_truth(folder)
     term, bundle = make_run_term(config, None, scene.points)
     state = train(scene, config, term=term, device="cpu")
     events = [event["event"] for event in term.log]

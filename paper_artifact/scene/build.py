@@ -23,7 +23,7 @@ from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, Camera, fibonacci_cameras, unframed
-from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.colmap import pinhole_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH, held_files, holds, whole_folder
 from paper_artifact.scene.ground_truth import (
     background_colour,
@@ -37,7 +37,6 @@ SCENE_FORMAT = 2  # raised whenever the same configuration would give other file
 SEED = 0  # of everything here: the runs of all seeds see one scene
 GAPS = 3  # places in which the cloud is cut out
 OUTLIER_BOX = 1.5  # outliers lie in the cloud's box, that much larger
-PATTERN = 1.0  # of the surrounding: wave numbers of the meshes' texture on the sphere of directions
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,8 @@ def perturbed_cloud(
 
 
 def surrounding(camera: Camera) -> np.ndarray:
-    """Return the image (H,W,3) float32 in [0,1] of a pattern infinitely far away, one for all cameras."""
+    """Return the image (H,W,3) float32 in [0,1] of a pattern infinitely far away, one for all cameras: the
+    meshes' texture on the sphere of directions."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack(
         [
@@ -116,7 +116,7 @@ def surrounding(camera: Camera) -> np.ndarray:
     )
     directions = (rays / arithmetic.norm(rays)[..., None]).reshape(-1, 3)
     directions = arithmetic.product(directions, camera.rotation)
-    return solid_texture(directions, np.zeros(3), 1.0, PATTERN).reshape(*rows.shape, 3)
+    return solid_texture(directions, np.zeros(3), 1.0).reshape(*rows.shape, 3)
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,6 @@ class SceneConfig:
     background: str = "white"  # "black" or "texture"
     supersample: int = 4  # samples per pixel and axis
     points: int = 15000  # of the SfM cloud, drawn from the surface, uniform by area
-    texture_frequency: float = 1.0  # multiplies the texture's wave numbers
     seed: int = 0  # of the SfM cloud
     perturbation: Perturbation = CLEAN  # of training views, cameras and cloud
 
@@ -148,16 +147,12 @@ class SceneConfig:
                 raise InputError(
                     f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}"
                 )
-        if not 0 < self.texture_frequency <= 1000:
-            raise InputError(
-                f"the scene's texture_frequency must be in (0, 1000], got {self.texture_frequency}"
-            )
         background_colour(self.background)
 
 
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
     """Return the sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
-    values = asdict(config)
+    values = asdict(config) | {"texture_frequency": 1.0}  # a setting of earlier versions
     if config.perturbation == CLEAN:  # a clean scene keeps the key it had before there were others
         del values["perturbation"]
     content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(mesh), "name": mesh.name}
@@ -200,51 +195,30 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     user, frame = mesh, frame_for(mesh.centre, mesh.radius)
     mesh = user.framed(frame)  # what is drawn is drawn in float32; what is written is the user's
     cameras = fibonacci_cameras(mesh, config.views, config.size)
-    names = [f"view_{index:03d}.png" for index in range(config.views)]
+    views = {}
     (folder / "images").mkdir()
-    views = list(zip(names, cameras, strict=True))
-    seen = {name for place, name in enumerate(names) if place % EVERY}  # what is trained on
-    for name, camera in tqdm(views, desc=f"rendering {mesh.name}", unit="view", disable=not progress):
-        behind = surrounding(camera) if config.background == "texture" and name in seen else background
-        image = render_ground_truth(mesh, camera, behind, config.supersample, config.texture_frequency)
-        if name in seen:
-            image = _noisy_image(image, config.perturbation, names.index(name))
+    bar = tqdm(cameras, desc=f"rendering {mesh.name}", unit="view", disable=not progress)
+    for place, camera in enumerate(bar):
+        name, trained_on = f"view_{place:03d}.png", place % EVERY > 0
+        behind = surrounding(camera) if config.background == "texture" and trained_on else background
+        image = render_ground_truth(mesh, camera, behind, config.supersample)
+        if trained_on:
+            image = _noisy_image(image, config.perturbation, place)
+            camera = moved_camera(camera, config.perturbation, mesh.diagonal, place)
         Image.fromarray(np.round(image * 255).astype(np.uint8)).save(folder / "images" / name)
+        views[name] = unframed(camera, frame)
     positions, _, _ = sample_surface(
         mesh.vertices, mesh.faces, config.points, stream(config.seed, "sfm cloud")
     )
-    colours = np.round(mesh_texture(positions, mesh, config.texture_frequency) * 255).astype(np.uint8)
+    colours = np.round(mesh_texture(positions, mesh) * 255).astype(np.uint8)
     positions, colours = perturbed_cloud(positions, colours, config.perturbation, mesh.diagonal)
-    poses = [
-        moved_camera(camera, config.perturbation, mesh.diagonal, place) if name in seen else camera
-        for place, (name, camera) in enumerate(views)
-    ]
-    written = [unframed(camera, frame) for camera in poses]
-    first = cameras[0]
-    model = Model(
-        cameras={
-            1: Intrinsics(
-                "PINHOLE",
-                first.width,
-                first.height,
-                (first.focal_x, first.focal_y, first.centre_x, first.centre_y),
-            )
-        },
-        images={
-            index + 1: Pose(name, 1, camera.quaternion, camera.translation)
-            for index, (name, camera) in enumerate(zip(names, written, strict=True))
-        },
-        point_ids=np.arange(1, len(positions) + 1),
-        positions=frame.outward(positions),
-        colours=colours,
-        errors=np.zeros(len(positions)),
-    )
+    model = pinhole_model(views, [1] * len(views), frame.outward(positions), colours)
     write_model(model, folder / "sparse" / "0")
     truth = {
         "vertices": user.vertices,
         "faces": mesh.faces,
         "name": np.array(mesh.name),
-        "betti": np.array(mesh.betti if mesh.betti is not None else [], dtype=np.int64),
+        "betti": np.array(mesh.betti or [], dtype=np.int64),
     }
     write_npz(folder / GROUND_TRUTH, truth, compressed=False)
     write_json(
@@ -265,7 +239,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
                 "sha256": mesh_hash(user),
                 "vertices": len(mesh.vertices),
                 "faces": len(mesh.faces),
-                "betti": list(mesh.betti) if mesh.betti is not None else None,
+                "betti": mesh.betti,
                 "diagonal": user.diagonal,
             },
         },

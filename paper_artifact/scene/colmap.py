@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -22,25 +22,24 @@ from paper_artifact.files import decoded, inside, whole, write_bytes
 from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.scene.cameras import Camera
 
-MODELS = (
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "OPENCV_FISHEYE",
-    "FULL_OPENCV",
-    "FOV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-    "RAD_TAN_THIN_PRISM_FISHEYE",
-)
+# COLMAP's camera models in the order of their numbers: how many parameters those have that are pinholes while
+# their distortion is zero, and how many focal lengths. These come first, then the centre, then distortion.
+MODELS = {
+    "SIMPLE_PINHOLE": (3, 1),
+    "PINHOLE": (4, 2),
+    "SIMPLE_RADIAL": (4, 1),
+    "RADIAL": (5, 1),
+    "OPENCV": (8, 2),
+    "OPENCV_FISHEYE": None,
+    "FULL_OPENCV": (12, 2),
+    "FOV": (5, 2),
+    "SIMPLE_RADIAL_FISHEYE": None,
+    "RADIAL_FISHEYE": None,
+    "THIN_PRISM_FISHEYE": None,
+    "RAD_TAN_THIN_PRISM_FISHEYE": None,
+}
 MOST_MODELS = 64  # a number beyond is damage, one in between a model newer than this list
-PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many a model has
-# Models that are pinholes where their distortion is zero: how many parameters, and how many focal lengths.
-BENT = {"SIMPLE_RADIAL": (4, 1), "RADIAL": (5, 1), "OPENCV": (8, 2), "FULL_OPENCV": (12, 2), "FOV": (5, 2)}
-PINHOLES = {1: "SIMPLE_PINHOLE", 2: "PINHOLE"}  # by how many focal lengths they have
+PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE")  # with one focal length, and with two
 FILES = ("cameras", "images", "points3D")
 FARTHEST = 1e25  # world units: matrices of what is larger are not finite in float32
 SHORTEST = 1e-6  # a quaternion's length; one that turns has length 1
@@ -95,6 +94,29 @@ class Model:
         )
 
 
+def pinhole_model(
+    views: Mapping[str, Camera], ids: Sequence[int], positions: np.ndarray, colours: np.ndarray
+) -> Model:
+    """Return the model of views by image name, with a cloud (P,3) in world units, colours (P,3) uint8 RGB.
+
+    ids: of each view's camera; views with the same intrinsics may share one.
+    """
+    return Model(
+        cameras={
+            camera: Intrinsics("PINHOLE", c.width, c.height, (c.focal_x, c.focal_y, c.centre_x, c.centre_y))
+            for camera, c in zip(ids, views.values(), strict=True)
+        },
+        images={
+            number: Pose(name, camera, c.quaternion, c.translation)
+            for number, (camera, (name, c)) in enumerate(zip(ids, views.items(), strict=True), start=1)
+        },
+        point_ids=np.arange(1, len(positions) + 1),
+        positions=positions,
+        colours=colours,
+        errors=np.zeros(len(positions)),
+    )
+
+
 def read_model(folder: Path | str) -> Model:
     """Return the model that the `model_files` of a sparse folder hold.
 
@@ -103,12 +125,9 @@ def read_model(folder: Path | str) -> Model:
     """
     paths = model_files(folder)
     parts: list[Any] = []
-    for number, path in enumerate(paths):
-        reader = {".bin": _BINARY_READERS, ".txt": _TEXT_READERS}.get(path.suffix, (_read_points_ply,) * 3)[
-            number
-        ]
+    for path in paths:
         try:
-            parts.append(_parsed(reader, path.read_bytes()))
+            parts.append(_parsed(_READERS[path.name], path.read_bytes()))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         except OSError as error:
@@ -136,14 +155,12 @@ def model_files(folder: Path | str) -> list[Path]:
     """Return the files that hold cameras, images and points3D in a sparse folder, each .bin or else .txt, the
     points also .ply. Raises InputError where one is missing."""
     paths = []
-    for name in FILES:
-        endings = (".bin", ".txt", ".ply") if name == "points3D" else (".bin", ".txt")
-        found = [
-            path for path in (inside(Path(folder), name + ending) for ending in endings) if path.is_file()
-        ]
+    for part in FILES:
+        places = [inside(Path(folder), name) for name in _READERS if name.startswith(part)]
+        found = [path for path in places if path.is_file()]
         if not found:
             raise InputError(
-                f"no COLMAP file at {Path(folder) / name}.bin or .txt; "
+                f"no COLMAP file at {Path(folder) / part}.bin or .txt; "
                 "give the folder that holds sparse/0 with cameras, images and points3D"
             )
         paths.append(found[0])
@@ -186,25 +203,22 @@ class _Bytes:
             raise ValueError(f"{len(self.data) - self.offset} bytes follow the last entry")
 
 
-def _checked_camera(model: str, width: int, height: int, parameters: tuple[float, ...]) -> Intrinsics:
-    if model in BENT and not any(parameters[BENT[model][1] + 2 :]):
-        model, parameters = PINHOLES[BENT[model][1]], parameters[: BENT[model][1] + 2]
-    if len(parameters) != PARAMETERS[model]:
-        raise ValueError(f"{model} with {len(parameters)} parameters")
-    sizes = np.abs([width, height, *parameters])
-    if width < 1 or height < 1 or not sizes.max() < LARGEST or min(parameters[:-2]) <= 0:
-        raise ValueError(f"a camera of {width} x {height} pixels with parameters {parameters}")
-    return Intrinsics(model, int(width), int(height), tuple(float(value) for value in parameters))
-
-
-def _pinhole_only(model: str, camera: int, parameters: Sequence[float]) -> None:
-    """Raise InputError for a camera that bends rays: any other model, those newer than this list too."""
-    count, focal = BENT.get(model, (-1, 0))
-    if model not in PARAMETERS and (len(parameters) != count or any(parameters[focal + 2 :])):
+def _pinhole(camera: int, model: str, width: float, height: float, numbers: Sequence[float]) -> Intrinsics:
+    """Return a camera without its distortion. Raises InputError for one that bends rays: where that is not
+    zero, and any other model, those newer than this list too."""
+    count, focal = MODELS.get(model) or (None, 0)
+    if model in PINHOLES and len(numbers) != count:
+        raise ValueError(f"{model} with {len(numbers)} parameters")
+    if len(numbers) != count or any(numbers[focal + 2 :]):
         raise InputError(
             f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), "
-            f"only {' and '.join(reversed(PARAMETERS))}, and zero distortion, are read"
+            f"only {' and '.join(reversed(PINHOLES))}, and zero distortion, are read"
         )
+    parameters = tuple(map(float, numbers[: focal + 2]))
+    largest = np.abs([width, height, *parameters]).max()
+    if width < 1 or height < 1 or not largest < LARGEST or min(parameters[:focal]) <= 0:
+        raise ValueError(f"a camera of {width} x {height} pixels with parameters {parameters}")
+    return Intrinsics(PINHOLES[focal - 1], int(width), int(height), parameters)
 
 
 def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
@@ -214,8 +228,7 @@ def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
         raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
     if any(part in ("", ".", "..") for part in name.replace("\\", "/").split("/")):
         raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
-    w, x, y, z, *translation = map(float, numbers)
-    across, down, ahead = translation
+    w, x, y, z, across, down, ahead = map(float, numbers)
     return Pose(name, int(camera), (w, x, y, z), (across, down, ahead))
 
 
@@ -241,11 +254,9 @@ def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
         camera, number, width, height = stream.take("iiQQ")
         if not 0 <= number < MOST_MODELS:
             raise ValueError(f"unknown camera model {number}")
-        model = MODELS[number] if number < len(MODELS) else f"number {number}"
-        count = PARAMETERS.get(model, BENT.get(model, (0, 0))[0])
-        parameters = stream.take("d" * count)
-        _pinhole_only(model, camera, parameters)
-        _add(cameras, camera, _checked_camera(model, width, height, parameters))
+        model = [*MODELS][number] if number < len(MODELS) else f"number {number}"
+        count, _ = MODELS.get(model) or (0, 0)
+        _add(cameras, camera, _pinhole(camera, model, width, height, stream.take("d" * count)))
     stream.end()
     return cameras
 
@@ -293,9 +304,8 @@ def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
         camera, model, width, height, *parameters = row.split()
         if not model.replace("_", "").isupper():
             raise ValueError(f"unknown camera model {model}")
-        numbers = tuple(map(float, parameters))
-        _pinhole_only(model, whole(camera), numbers)
-        _add(cameras, whole(camera), _checked_camera(model, whole(width), whole(height), numbers))
+        numbers = [float(word) for word in parameters]
+        _add(cameras, whole(camera), _pinhole(whole(camera), model, whole(width), whole(height), numbers))
     return cameras
 
 
@@ -337,7 +347,7 @@ def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:
 def _cameras_binary(model: Model) -> bytes:
     return struct.pack("<Q", len(model.cameras)) + b"".join(
         struct.pack(
-            f"<iiQQ{len(c.parameters)}d", camera, MODELS.index(c.model), c.width, c.height, *c.parameters
+            f"<iiQQ{len(c.parameters)}d", camera, [*MODELS].index(c.model), c.width, c.height, *c.parameters
         )
         for camera, c in model.cameras.items()
     )
@@ -361,5 +371,12 @@ def _points_binary(model: Model) -> bytes:
     )
 
 
-_BINARY_READERS = (_read_cameras_binary, _read_images_binary, _read_points_binary)
-_TEXT_READERS = (_read_cameras_text, _read_images_text, _read_points_text)
+_READERS: dict[str, Callable[[bytes], Any]] = {  # by file; of one part the first that is there is read
+    "cameras.bin": _read_cameras_binary,
+    "cameras.txt": _read_cameras_text,
+    "images.bin": _read_images_binary,
+    "images.txt": _read_images_text,
+    "points3D.bin": _read_points_binary,
+    "points3D.txt": _read_points_text,
+    "points3D.ply": _read_points_ply,
+}

@@ -46,7 +46,7 @@ def background_colour(name: str) -> np.ndarray:
 
 
 def render_ground_truth(
-    mesh: Mesh, camera: Camera, background: np.ndarray, supersample: int = 4, texture_frequency: float = 1.0
+    mesh: Mesh, camera: Camera, background: np.ndarray, supersample: int = 4
 ) -> np.ndarray:
     """Return the image (H,W,3) float32 in [0,1] of the textured mesh.
 
@@ -64,7 +64,7 @@ def render_ground_truth(
     corner = mesh.vertices.astype(np.float32)[mesh.faces[triangle.reshape(-1)[covered] - 1]]
     first, second = b0.reshape(-1)[covered, None], b1.reshape(-1)[covered, None]
     positions = corner[:, 2] + first * (corner[:, 0] - corner[:, 2]) + second * (corner[:, 1] - corner[:, 2])
-    colours = mesh_texture(positions, mesh, texture_frequency)
+    colours = mesh_texture(positions, mesh)
     pixel = covered // width // supersample * camera.width + covered % width // supersample
     pixels = camera.height * camera.width
     missed = supersample**2 - np.bincount(pixel, minlength=pixels)
@@ -73,15 +73,13 @@ def render_ground_truth(
     return image.reshape(camera.height, camera.width, 3).astype(np.float32)
 
 
-def solid_texture(
-    positions: np.ndarray, centre: np.ndarray, radius: float, frequency: float = 1.0
-) -> np.ndarray:
+def solid_texture(positions: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
     """Return colours (n,3) float32 in [.08, .92] at world positions (n,3).
 
     `centre` (3,) and `radius` are the scene's bounding sphere in world units, so that the pattern follows its
-    scale; `frequency` multiplies every wave number. Deterministic, independent of light and view.
+    scale. Deterministic, independent of light and view.
     """
-    local = ((np.asarray(positions) - centre) * (frequency / radius)).astype(np.float32)
+    local = ((np.asarray(positions) - centre) * (1 / radius)).astype(np.float32)
     colours = np.empty(local.shape[::-1], dtype=np.float32)
     _folded_waves(np.ascontiguousarray(local.T), *_waves(), colours)
     return np.float32((DARKEST + BRIGHTEST) / 2) + np.float32((BRIGHTEST - DARKEST) / 2) * colours.T
@@ -116,9 +114,9 @@ def _folded_waves(local, vectors, phases, amplitudes, colours):
             colours[channel, i] = _sine(fold * sums[i] + phases[channel, 0])
 
 
-def mesh_texture(positions: np.ndarray, mesh: Mesh, frequency: float = 1.0) -> np.ndarray:
+def mesh_texture(positions: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Return `solid_texture` (n,3) float32 at world positions (n,3), for the mesh's own bounding sphere."""
-    return solid_texture(positions, mesh.centre, mesh.radius, frequency)
+    return solid_texture(positions, mesh.centre, mesh.radius)
 
 
 @lru_cache(maxsize=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +14,10 @@ from tqdm import tqdm
 
 from paper_artifact import arithmetic
 from paper_artifact.errors import InputError, real, require_memory
-from paper_artifact.files import inside, load_npz
 from paper_artifact.frame import SAME, Frame, frame_for
-from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.scene.cameras import FAR, NEAR, framed, picture_radii, world_to_clip
 from paper_artifact.scene.colmap import Model, read_model
-from paper_artifact.scene.folder import (
-    GROUND_TRUTH,
-    check_files,
-    image_file,
-    model_folder,
-    read_description,
-    scene_root,
-)
+from paper_artifact.scene.folder import check_files, image_file, model_folder, read_description, scene_root
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.images import (
     Pixels,
@@ -205,32 +196,6 @@ def _mean_colour(pictures: Iterable[Pixels]) -> np.ndarray:
     if weight == 0:
         raise InputError("the masks leave nothing of the photographs; check that white is what counts")
     return (total / weight / 255).astype(np.float32)
-
-
-def load_ground_truth(path: Path | str) -> Mesh:
-    """Return the mesh that the scene in the folder `path` was made of, world units.
-
-    Raises InputError when the scene has none (a scene of photographs) or the file is damaged.
-    """
-    file = inside(Path(path), GROUND_TRUTH)
-    if not file.is_file():
-        raise InputError(
-            f"{path} has no {GROUND_TRUTH}: only scenes made with `python -m paper_artifact scene` know "
-            "their surface; make one of a mesh"
-        )
-    try:
-        stored = load_npz(file)
-        vertices, faces, name, betti = (stored[key] for key in ("vertices", "faces", "name", "betti"))
-        known = tuple(int(value) for value in betti)
-        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
-        raise InputError(
-            f"{file} is damaged ({error}); remove the scene's folder and build it again"
-        ) from error
-    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.shape[1] == faces.shape[1] == 3:
-        raise InputError(f"{file} holds no mesh; remove the scene's folder and build it again")
-    mesh = checked_mesh(vertices, faces, str(file), known if len(known) == 3 else None, welded=False)
-    return replace(mesh, name=str(name))
 
 
 def _cloud_ball(positions: np.ndarray) -> tuple[np.ndarray, float]:

@@ -28,7 +28,7 @@ from paper_artifact.formats.named import find_file
 from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
-from paper_artifact.scene.colmap import FARTHEST, LARGEST, Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.colmap import FARTHEST, LARGEST, pinhole_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.images import as_mask, has_transparency, opened, sizes_told
@@ -169,7 +169,10 @@ def transforms_scene(
             points = _cloud(cameras, masks, config) if given is None else _points_of(given)
         except InputError as error:
             raise InputError(f"{file}: {error}") from error
-        write_model(_model(cameras, points), temporary / "sparse" / "0")
+        views = {f"{index:05d}.png": camera for index, camera in enumerate(cameras)}
+        grey = np.full((len(points), 3), 128, np.uint8)  # nothing reads the colours
+        model = pinhole_model(views, range(1, len(views) + 1), points, grey)
+        write_model(model, temporary / "sparse" / "0")
         description = {
             "format": FORMAT,
             "package": __version__,
@@ -368,26 +371,6 @@ def _cloud(
     if not clear or all(mask.all() for _, mask in clear):
         raise InputError("no image is transparent anywhere, so there is no outline; take --cloud random")
     return hull_cloud([each for each, _ in clear], [mask for _, mask in clear], config.points, draws)
-
-
-def _model(cameras: Sequence[Camera], points: np.ndarray) -> Model:
-    """Return the sparse model of these views; its cloud is grey, since nothing reads the colours."""
-    return Model(
-        cameras={
-            index + 1: Intrinsics(
-                "PINHOLE", c.width, c.height, (c.focal_x, c.focal_y, c.centre_x, c.centre_y)
-            )
-            for index, c in enumerate(cameras)
-        },
-        images={
-            index + 1: Pose(f"{index:05d}.png", index + 1, c.quaternion, c.translation)
-            for index, c in enumerate(cameras)
-        },
-        point_ids=np.arange(1, len(points) + 1),
-        positions=points,
-        colours=np.full((len(points), 3), 128, np.uint8),
-        errors=np.zeros(len(points)),
-    )
 
 
 def _key(files: Sequence[Path], config: TransformsConfig) -> str:
