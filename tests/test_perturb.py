@@ -13,6 +13,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import mesh_hash
 from paper_artifact.scene.build import (
+    FIXED,
     SCENE_FORMAT,
     Perturbation,
     SceneConfig,
@@ -40,7 +41,7 @@ def clean(tmp_path_factory) -> Scene:
 
 
 def test_a_clean_scene_keeps_the_key_it_had():
-    values = asdict(SMALL) | {"texture_frequency": 1.0}
+    values = asdict(SMALL) | FIXED
     del values["perturbation"]
     content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(SPHERE), "name": "sphere"}
     text = json.dumps(content, sort_keys=True)

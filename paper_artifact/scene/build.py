@@ -34,6 +34,7 @@ from paper_artifact.scene.ground_truth import (
 from paper_artifact.scene.load import EVERY
 
 SCENE_FORMAT = 2  # raised whenever the same configuration would give other files
+FIXED = {"texture_frequency": 1.0}  # of the configuration, as keys and scene.json have it
 SEED = 0  # of everything here: the runs of all seeds see one scene
 GAPS = 3  # places in which the cloud is cut out
 OUTLIER_BOX = 1.5  # outliers lie in the cloud's box, that much larger
@@ -152,7 +153,7 @@ class SceneConfig:
 
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
     """Return the sha256 (hex) of everything the scene's files depend on: format, configuration, mesh."""
-    values = asdict(config) | {"texture_frequency": 1.0}  # a setting of earlier versions
+    values = asdict(config) | FIXED
     if config.perturbation == CLEAN:  # a clean scene keeps the key it had before there were others
         del values["perturbation"]
     content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(mesh), "name": mesh.name}
@@ -227,7 +228,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
             "format": SCENE_FORMAT,
             "package": __version__,
             "key": key,
-            "config": asdict(config),
+            "config": asdict(config) | FIXED,
             "files": held_files(folder),
             "background": background.tolist(),
             "centre": user.centre.tolist(),
