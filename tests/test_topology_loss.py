@@ -160,7 +160,7 @@ def test_noise_reaches_the_plan_but_not_the_values(void):
     plan = loss.refresh(live)
     value = loss(torch.tensor(live)).item()
     assert plan.report["live_floor"] > measurement_floor(live, bundle.diagonal)
-    (births, deaths) = plan.coordinates(live[plan.used.numpy()] / bundle.diagonal)
+    births, deaths = plan.radii(live[plan.used.numpy()] / bundle.diagonal)[0].reshape(2, -1)
     expected = ((births - bundle.bars[2][0, 0]) ** 2 + (deaths - bundle.bars[2][0, 1]) ** 2).sum()
     assert value == pytest.approx(expected, rel=1e-12)
     assert abs(deaths[0] - plan.pulls.values[0, 1]) > 1e-6  # the plan's own value is the noisy one
@@ -292,12 +292,12 @@ def test_gradients_are_summed_in_the_order_of_the_pulls():
     target, live = generator.random((2, 500, 3))
     plan = build_plan(live, build_bundle(target, 1.0, k=0.05))
     positions = live[plan.used.numpy()] + 1e-3 * generator.random((len(plan.used), 3))
-    arrays = plan._arrays
-    radii, gradients = arrays.radii(positions)
+    radii, gradients = plan.radii(positions)
     births, deaths = radii.reshape(2, -1)
     away = (deaths - births) / 2 * np.array([[-1.0], [1.0]])
-    slope = np.where(arrays.diagonal, away, 2 * (radii.reshape(2, -1) - arrays.target)).ravel()
+    pulls = plan.pulls
+    slope = np.where(pulls.kind == DIAGONAL, away, 2 * (radii.reshape(2, -1) - pulls.target.T)).ravel()
     expected = np.zeros_like(positions)
-    for (rows, corners), gradient in zip(arrays.groups, gradients, strict=True):
+    for (rows, corners), gradient in zip(plan.groups, gradients, strict=True):
         np.add.at(expected, corners, slope[rows, None, None] * gradient)
-    np.testing.assert_array_equal(arrays.value_and_gradient(positions)[1], expected)
+    np.testing.assert_array_equal(plan.value_and_gradient(positions)[1], expected)

@@ -12,7 +12,7 @@ from paper_artifact.catalogue import get_condition
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError
 from paper_artifact.topology.bundle import Bundle, build_bundle
-from paper_artifact.topology.plan import Plan, join_pulls
+from paper_artifact.topology.plan import Plan, Pulls
 from paper_artifact.topology.term import (
     TopologyTerm,
     draw_samples,
@@ -147,7 +147,8 @@ def test_zero_gradient_calibration_is_a_stated_no_op_and_tries_again(bundle):
     term.refresh(31, soup, None)
     assert term.value(31, soup, 0.0) is None and term.lambda_peak is None
     assert term.log[-1]["event"] == "no-op" and "photometric" in term.log[-1]["reason"]
-    term._objective.plan = Plan(join_pulls([]), M, {})  # no bar at all
+    nothing = {name: each[:0] for name, each in vars(term._objective.plan.pulls).items()}
+    term._objective.plan = Plan(Pulls(**nothing), M, {})
     assert term.value(32, soup, 1.0) is None and "topology" in term.log[-1]["reason"]
     if term.due(33, True):
         term.refresh(33, soup, None)

@@ -70,19 +70,8 @@ class Bundle:
 
     def to_json(self) -> dict:
         """Return the bundle as a JSON-able dict, for its own file or inside a run record."""
-        return {
-            "format": FORMAT,
-            "bars": [each.tolist() for each in self.bars],
-            "dimensions": list(self.dimensions),
-            "reasons": list(self.reasons),
-            "samples": self.samples,
-            "seed": self.seed,
-            "floor": self.floor,
-            "floor_multiplier": self.floor_multiplier,
-            "diagonal": self.diagonal,
-            "shape": self.shape,
-            "source": self.source,
-        }
+        lists = {"dimensions": list(self.dimensions), "reasons": list(self.reasons)}
+        return {"format": FORMAT} | vars(self) | lists | {"bars": [each.tolist() for each in self.bars]}
 
 
 def build_bundle(
@@ -95,30 +84,27 @@ def build_bundle(
     shape: str = "points",
     seed: int = 0,
     source: str | None = None,
-    method: str = "fast",
 ) -> Bundle:
     """Return the bundle of `points` (M,3) float64, a sample of the ground truth with diagonal D, world units.
 
     dimensions: where the loss acts; None takes every dimension with a significant bar (the torus at M = 2048
     gives H1 alone, because its void is below the floor). suppress: dimensions with no target on purpose,
-    where every significant live bar is pushed to the diagonal. k: the floor is k·r_med. method: see
-    `alpha_persistence`. Raises InputError when a dimension of `dimensions` has no significant bar, when none
-    has, or for bad points.
+    where every significant live bar is pushed to the diagonal. k: the floor is k·r_med. Raises InputError
+    when a dimension of `dimensions` has no significant bar, when none has, or for bad points.
     """
     points, seed = np.ascontiguousarray(space_points(points, 2, "a bundle")), whole("seed", seed)
     diagonal = check_diagonal(diagonal)
     floor = measurement_floor(points, diagonal, k)
-    bars, reasons, found = [], [], []
+    bars, reasons = [], []
     cloud = in_diagonals(points, diagonal)
-    for dimension, pairs in enumerate(alpha_persistence(cloud, method, as_given=True)):
-        every = np.column_stack([pairs.births, pairs.deaths])
+    for pairs in alpha_persistence(cloud, as_given=True):
+        every = pairs.diagram
         lengths = every[:, 1] - every[:, 0]
         kept = every[significant(every, floor)]
         bars.append(kept[np.lexsort((kept[:, 0], -(kept[:, 1] - kept[:, 0])))])
-        if len(kept):
-            found.append(dimension)
         reasons.append(_reason(lengths, floor, len(kept), len(points)))
-    chosen, suppress = tuple(found) if dimensions is None else _numbers(dimensions), _numbers(suppress)
+    found = tuple(dimension for dimension, kept in enumerate(bars) if len(kept))
+    chosen, suppress = found if dimensions is None else _numbers(dimensions), _numbers(suppress)
     for dimension in chosen:
         if not len(bars[dimension]):
             raise InputError(
@@ -129,17 +115,16 @@ def build_bundle(
         raise InputError("no dimension to act in; name one in dimensions or suppress, or leave both out")
     if not chosen and not suppress:
         raise InputError(f"{shape!r} has no significant bar in any dimension at M = {len(points)}; raise M")
-    for dimension in suppress:
-        if len(bars[dimension]):
-            raise InputError(
-                f"dimension {dimension} of {shape!r} has a significant target bar and cannot be suppressed; "
-                "leave it out"
-            )
-    acted = tuple(sorted(set(chosen) | set(suppress)))
+    if refused := sorted({*found} & {*suppress}):
+        raise InputError(
+            f"dimension {refused[0]} of {shape!r} has a significant target bar and cannot be suppressed; "
+            "leave it out"
+        )
+    roles = dict.fromkeys(suppress, "suppressed on purpose") | dict.fromkeys(chosen, "matched")
     return Bundle(
         bars=tuple(bars),
-        dimensions=acted,
-        reasons=tuple(_role(d, chosen, suppress) + reason for d, reason in enumerate(reasons)),
+        dimensions=tuple(sorted(roles)),
+        reasons=tuple(f"{roles.get(d, 'not acted on')}: {reason}" for d, reason in enumerate(reasons)),
         samples=len(points),
         seed=seed,
         floor=floor,
@@ -259,9 +244,3 @@ def _reason(lengths: np.ndarray, floor: float, kept: int, count: int) -> str:
         return f"no significant bar at M = {count}, {largest_out}"
     tightest = lengths[lengths > floor].min() / floor
     return f"{kept} significant at M = {count}, tightest {tightest:.2f}x the floor, {largest_out}"
-
-
-def _role(dimension: int, chosen: tuple[int, ...], suppress: tuple[int, ...]) -> str:
-    if dimension in chosen:
-        return "matched: "
-    return "suppressed on purpose: " if dimension in suppress else "not acted on: "

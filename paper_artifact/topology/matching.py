@@ -46,17 +46,9 @@ def match_bars(live: np.ndarray, target: np.ndarray, diagonal_factor: float = PA
     live, target = (np.asarray(bars, dtype=np.float64).reshape(-1, 2) for bars in (live, target))
     alone = [diagonal_factor * (bars[:, 1] - bars[:, 0]) ** 2 for bars in (live, target)]
     gains = np.minimum(pair_costs(live, target) - alone[0][:, None] - alone[1], 0.0)
-    if (
-        len(live)
-        and len(target)
-        and (live[:, 0] == target[0, 0]).all()
-        and (target[:, 0] == target[0, 0]).all()
-    ):
-        rows, columns = (np.argsort(bars[:, 1], kind="stable") for bars in (live, target))
-        chosen = _increasing_pairs(gains[np.ix_(rows, columns)])
-    else:  # a bar that no pair gains anything with stays alone
-        rows, columns = (np.flatnonzero(gains.any(axis=axis)) for axis in (1, 0))
-        chosen = linear_sum_assignment(gains[np.ix_(rows, columns)])
+    # a bar that no pair gains anything with stays alone
+    rows, columns = (np.flatnonzero(gains.any(axis=axis)) for axis in (1, 0))
+    chosen = linear_sum_assignment(gains[np.ix_(rows, columns)])
     matched = np.column_stack([rows[chosen[0]], columns[chosen[1]]]).astype(np.int64)
     matched = matched[gains[matched[:, 0], matched[:, 1]] < 0]
     matched = matched[np.argsort(matched[:, 1], kind="stable")]
@@ -66,37 +58,6 @@ def match_bars(live: np.ndarray, target: np.ndarray, diagonal_factor: float = PA
         unmatched_target=np.setdiff1d(np.arange(len(target)), matched[:, 1]),
         cost=float(alone[0].sum() + alone[1].sum() + gains[matched[:, 0], matched[:, 1]].sum()),
     )
-
-
-def _increasing_pairs(gains: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (rows, columns), both increasing, of the pairs with the least sum of `gains` (n,m).
-
-    Bars of equal birth lie on a line, where the cost is convex in the deaths: sorted by death, an optimal
-    matching crosses nowhere, and dynamic programming over prefixes finds it in n·m steps.
-    """
-    n, m = gains.shape
-    if n > m:
-        columns, rows = _increasing_pairs(gains.T)
-        return rows, columns
-    least = np.zeros(m + 1)  # of the rows so far and the first j columns
-    paired, skipped = np.zeros((n, m), dtype=bool), np.zeros((n, m), dtype=bool)
-    for i in range(n):
-        with_pair = least[:-1] + gains[i]
-        paired[i] = with_pair < least[1:]
-        before = np.where(paired[i], with_pair, least[1:])
-        least[1:] = np.minimum(np.minimum.accumulate(before), 0.0)
-        skipped[i] = least[1:] < before
-    found, i, j = [], n - 1, m - 1
-    while i >= 0 and j >= 0:
-        if skipped[i, j]:
-            j -= 1
-        else:
-            if paired[i, j]:
-                found.append((i, j))
-                j -= 1
-            i -= 1
-    rows, columns = np.array(found[::-1], dtype=np.int64).reshape(-1, 2).T
-    return rows, columns
 
 
 def recruit(pool: np.ndarray, missing: np.ndarray) -> np.ndarray:

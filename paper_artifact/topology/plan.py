@@ -64,138 +64,95 @@ def padded(simplices: np.ndarray) -> np.ndarray:
 
 
 def join_pulls(parts: Sequence[Pulls]) -> Pulls:
-    """Return the pulls of all parts, in order."""
-    shapes = {"values": (0, 2), "target": (0, 2), "simplices": (0, 2, CORNERS)}
-    kinds = {"dimension": np.int64, "kind": np.int64, "simplices": np.int64, "sound": bool}
-    joined = {}
-    for name in (each.name for each in fields(Pulls)):
-        empty = np.zeros(shapes.get(name, (0,)), dtype=kinds.get(name, np.float64))
-        joined[name] = np.concatenate([empty, *(getattr(part, name) for part in parts)])
-    return Pulls(**joined)
+    """Return the pulls of all parts, at least one, in order."""
+    names = [each.name for each in fields(Pulls)]
+    return Pulls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-@dataclass(frozen=True, eq=False)
-class LossArrays:
-    """A plan's pulls for the loss: simplices grouped by their number of corners, into the used samples."""
+class Known(torch.autograd.Function):
+    """A scalar function of positions (n,3) float64 whose value and gradient (n,3) are known there;
+    differentiable once."""
 
-    # (rows (r,), corners (r,k)): rows into the 2n coordinates (births, then deaths), corners into used
-    # samples
-    groups: tuple[tuple[np.ndarray, np.ndarray], ...]
-    scatter: np.ndarray  # the groups' corners one after the other: where gradients are summed
-    frozen: np.ndarray  # (2n,) coordinates at the refresh
-    sound: np.ndarray  # (2n,) bool
-    target: np.ndarray  # (2,n)
-    diagonal: np.ndarray  # (n,) bool
-    weight: np.ndarray  # (n,)
+    @staticmethod
+    def forward(ctx: Any, positions: Tensor, value: float, gradient: np.ndarray) -> Tensor:
+        """Return the value."""
+        ctx.save_for_backward(positions, torch.from_numpy(gradient))
+        return torch.tensor(value, dtype=torch.float64)
 
-    def radii(self, positions: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the coordinates (2n,) and, per group, the gradients (r,k,3) of its rows."""
-        radii, gradients = self.frozen.copy(), []
-        for rows, corners in self.groups:
-            radius, gradient = radius_and_gradient(positions[corners])
-            live = self.sound[rows] & np.isfinite(radius)
-            radii[rows] = np.where(live, radius, self.frozen[rows])
-            gradients.append(gradient * live[:, None, None])
-        return radii, gradients
-
-    def value_and_gradient(self, positions: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return L_topo and its gradient (u,3) at `positions` (u,3) of the used samples."""
-        radii, gradients = self.radii(positions)
-        live = radii.reshape(2, -1)
-        half_lifetime = (live[1] - live[0]) / 2
-        residual = live - self.target
-        value = np.where(self.diagonal, half_lifetime**2, (residual**2).sum(axis=0))
-        slope = np.where(self.diagonal, half_lifetime * _AWAY, 2 * residual) * self.weight
-        slope = slope.ravel()
-        parts = [
-            (slope[rows, None, None] * gradient).reshape(-1, 3)
-            for (rows, _), gradient in zip(self.groups, gradients, strict=True)
-        ]
-        total = np.zeros_like(positions)
-        if parts:
-            pulls = np.concatenate(parts)
-            for axis in range(3):  # bincount adds in the order of the rows: the same bits at every call
-                total[:, axis] = np.bincount(self.scatter, pulls[:, axis], len(positions))
-        return float((self.weight * value).sum()), total
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
+        """Return the gradient times `upstream`."""
+        positions, gradient = ctx.saved_tensors
+        return FirstDerivative.apply(upstream * gradient, positions), None, None
 
 
 # d/db and d/dd of ((d - b)/2)² are -(d - b)/2 and +(d - b)/2.
 _AWAY = np.array([[-1.0], [1.0]])
 
 
-def loss_value(positions: Tensor, arrays: LossArrays) -> Tensor:
-    """Return L_topo (scalar float64) at `positions` (u,3) float64 of the used samples; differentiable
-    once.
-    """
-    return _Value.apply(positions, arrays)
-
-
-class _Value(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, positions: Tensor, arrays: LossArrays) -> Tensor:
-        value, gradient = arrays.value_and_gradient(positions.detach().numpy())
-        ctx.save_for_backward(positions, torch.from_numpy(gradient))
-        return torch.tensor(value, dtype=torch.float64)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        positions, gradient = ctx.saved_tensors
-        return FirstDerivative.apply(upstream * gradient, positions), None
-
-
-def compiled(pulls: Pulls) -> tuple[np.ndarray, LossArrays]:
-    """Return the used samples (u,) int64 and the pulls as the loss takes them."""
-    simplices = pulls.simplices.transpose(1, 0, 2).reshape(-1, CORNERS)
-    used = np.unique(simplices[simplices != NONE])
-    sizes = (simplices != NONE).sum(axis=1)
-    groups = []
-    for size in (2, 3, 4):  # a vertex (birth in dimension 0) has the constant radius 0
-        rows = np.flatnonzero(sizes == size)
-        if len(rows):
-            groups.append((rows, np.searchsorted(used, simplices[rows, :size])))
-    return used, LossArrays(
-        groups=tuple(groups),
-        scatter=np.concatenate([corners.ravel() for _, corners in groups] or [np.zeros(0, dtype=np.int64)]),
-        frozen=pulls.values.T.ravel(),
-        sound=np.tile(pulls.sound, 2),
-        target=np.ascontiguousarray(pulls.target.T),
-        diagonal=pulls.kind == DIAGONAL,
-        weight=pulls.weight,
-    )
-
-
-@dataclass(frozen=True, eq=False)
 class Plan:
-    """Frozen pulls of one refresh. `value` gives the loss at positions of the used samples."""
+    """Frozen pulls of one refresh. `value` gives the loss at positions of the used samples.
 
-    pulls: Pulls
-    samples: int  # M of the cloud
-    report: dict  # JSON-able: counts and bars per dimension
-    used: Tensor = field(init=False)  # (u,) int64: the samples any pull touches
-    _arrays: LossArrays = field(init=False)
+    pulls; samples: M of the cloud; report: JSON-able, counts and bars per dimension; used (u,) int64: the
+    samples any pull touches; groups: the simplices by their number of corners, as (rows (r,), corners (r,k)),
+    rows into the 2n coordinates (births, then deaths), corners into the used samples.
+    """
 
-    def __post_init__(self) -> None:
-        used, arrays = compiled(self.pulls)
-        object.__setattr__(self, "used", torch.from_numpy(used))
-        object.__setattr__(self, "_arrays", arrays)
+    def __init__(self, pulls: Pulls, samples: int, report: dict) -> None:
+        self.pulls, self.samples, self.report = pulls, samples, report
+        simplices = pulls.simplices.transpose(1, 0, 2).reshape(-1, CORNERS)
+        used = np.unique(simplices[simplices != NONE])
+        sizes = (simplices != NONE).sum(axis=1)
+        self.used = torch.from_numpy(used)
+        self.groups = []
+        for size in (2, 3, 4):  # a vertex (birth in dimension 0) has the constant radius 0
+            rows = np.flatnonzero(sizes == size)
+            if len(rows):
+                self.groups.append((rows, np.searchsorted(used, simplices[rows, :size])))
 
     def __len__(self) -> int:
         return len(self.pulls)
 
-    def coordinates(self, positions: np.ndarray) -> np.ndarray:
-        """Return live (births, deaths) (2,n) float64 of the pulls at `positions` (u,3) of the used samples.
+    def radii(self, positions: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the pulls' live births, then deaths (2n,) float64, and per group the gradients (r,k,3) of
+        its rows, at `positions` (u,3) of the used samples; all divided by D.
 
-        All divided by D. A pull that failed the gate, and a coordinate whose simplex has become flat since,
-        keeps the refresh's value.
+        A pull that failed the gate, and a coordinate whose simplex has become flat since, keeps the refresh's
+        value.
         """
-        return self._arrays.radii(positions)[0].reshape(2, -1)
+        frozen, sound, gradients = self.pulls.values.T.ravel(), np.tile(self.pulls.sound, 2), []
+        radii = frozen.copy()
+        for rows, corners in self.groups:
+            radius, gradient = radius_and_gradient(positions[corners])
+            live = sound[rows] & np.isfinite(radius)
+            radii[rows] = np.where(live, radius, frozen[rows])
+            gradients.append(gradient * live[:, None, None])
+        return radii, gradients
+
+    def value_and_gradient(self, positions: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return L_topo and its gradient (u,3) at `positions` (u,3) of the used samples."""
+        radii, gradients = self.radii(positions)
+        live, diagonal, weight = radii.reshape(2, -1), self.pulls.kind == DIAGONAL, self.pulls.weight
+        half_lifetime = (live[1] - live[0]) / 2
+        residual = live - self.pulls.target.T
+        value = np.where(diagonal, half_lifetime**2, (residual**2).sum(axis=0))
+        slope = (np.where(diagonal, half_lifetime * _AWAY, 2 * residual) * weight).ravel()
+        total = np.zeros_like(positions)
+        if self.groups:
+            scatter = np.concatenate([corners.ravel() for _, corners in self.groups])
+            parts = zip(self.groups, gradients, strict=True)
+            pulls = [(slope[rows, None, None] * each).reshape(-1, 3) for (rows, _), each in parts]
+            for axis, column in enumerate(np.concatenate(pulls).T):
+                # bincount adds in the order of the rows: the same bits at every call
+                total[:, axis] = np.bincount(scatter, column, len(positions))
+        return float((weight * value).sum()), total
 
     def value(self, positions: Tensor) -> Tensor:
         """Return the paper's L_topo (scalar float64) at `positions` (u,3) float64 of the used samples, / D.
 
         Differentiable once, in closed form. An empty plan gives an exact 0 with a zero gradient.
         """
-        return loss_value(positions, self._arrays)
+        return Known.apply(positions, *self.value_and_gradient(positions.detach().numpy()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,9 +167,8 @@ class Claims:
     report: dict = field(default_factory=dict)  # JSON-able: what is added to the report, or replaced in it
 
 
-Claim = Callable[
-    [int, np.ndarray], Claims
-]  # (dimension, its live bars (k,2) float64) → what is pulled by what
+# (dimension, its live bars (k,2) float64) → what is pulled by what
+Claim = Callable[[int, np.ndarray], Claims]
 
 
 def build_plan(cloud: np.ndarray, bundle: Bundle, config: LossConfig | None = None) -> Plan:
@@ -317,12 +273,7 @@ def _claims(bars: np.ndarray, target: np.ndarray, floor: float, recruitment: boo
 
 def _chosen(pairs: Pairs, rows: np.ndarray) -> Pairs:
     """Return the pairs of `rows` (indices or a mask)."""
-    return Pairs(
-        births=pairs.births[rows],
-        deaths=pairs.deaths[rows],
-        birth_simplices=pairs.birth_simplices[rows],
-        death_simplices=pairs.death_simplices[rows],
-    )
+    return Pairs(**{name: each[rows] for name, each in vars(pairs).items()})
 
 
 def _passes(cloud: np.ndarray, pairs: Pairs) -> np.ndarray:
@@ -333,26 +284,18 @@ def _passes(cloud: np.ndarray, pairs: Pairs) -> np.ndarray:
 
 def _report(claims: Claims, bars: np.ndarray, floor: float, failures: int) -> dict:
     """Return the JSON-able report of one dimension: counts, and of each target bar what claims it."""
-    owned, target = claims.targets != NONE, claims.aims
-    lives: list[list[float] | None] = [None] * len(target)
-    kinds = ["unreached"] * len(target)
-    for j, live, kind in zip(
-        claims.targets[owned].tolist(),
-        bars[claims.rows[owned]].tolist(),
-        claims.kinds[owned].tolist(),
-        strict=True,
-    ):
-        lives[j], kinds[j] = live, KINDS[kind]
+    targets: list[dict] = [{"target": bar, "live": None, "kind": "unreached"} for bar in claims.aims.tolist()]
+    owned = claims.targets != NONE
+    lives = bars[claims.rows[owned]].tolist()
+    for j, live, kind in zip(claims.targets[owned], lives, claims.kinds[owned], strict=True):
+        targets[j] |= {"live": live, "kind": KINDS[kind]}
     counts = np.bincount(claims.kinds, minlength=len(KINDS)).tolist()
     return {
         "significant": int(significant(bars, floor).sum()),
         **dict(zip(KINDS, counts, strict=True)),
-        "unreached": len(target) - int(owned.sum()),
+        "unreached": len(targets) - int(owned.sum()),
         "gabriel_failures": failures,
-        "targets": [
-            {"target": bar, "live": live, "kind": kind}
-            for bar, live, kind in zip(target.tolist(), lives, kinds, strict=True)
-        ],
+        "targets": targets,
         **claims.report,
     }
 

@@ -20,14 +20,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from paper_artifact.alpha.diagrams import FirstDerivative
 from paper_artifact.arithmetic import length
 from paper_artifact.config import LossConfig
 from paper_artifact.errors import InputError
@@ -36,7 +34,7 @@ from paper_artifact.sampling import sample_soup
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.floor import check_cloud, noisy
 from paper_artifact.topology.loss import build_betti_plan
-from paper_artifact.topology.plan import build_plan
+from paper_artifact.topology.plan import Known, build_plan
 from paper_artifact.topology.statement import (
     Statement,
     choose_density,
@@ -108,15 +106,6 @@ def samples_stream(seed: int, step: int) -> np.random.Generator:
     return stream(seed, "topology-samples", step)
 
 
-class Objective(Protocol):
-    """What one refresh fixes: a differentiable function of the vertices until the next one."""
-
-    report: dict  # what the refresh found, JSON-able, for the log
-
-    def value(self, vertices: Tensor) -> Tensor:
-        """Return the unweighted loss (scalar float64) at `vertices` (T,3,3), world units."""
-
-
 class TopologyTerm:
     """One condition's additive term during a run of `steps` steps.
 
@@ -151,7 +140,7 @@ class TopologyTerm:
         self.strict, self.tell, self.within = strict, tell, within
         self.lambda_peak: float | None = None
         self.log: list[dict] = []
-        self._objective: Objective | None = None
+        self._objective: Persistence | Repulsion | None = None
         self._refreshed = 0
         self._resampled = False
 
@@ -234,7 +223,7 @@ class TopologyTerm:
     def _calibrated(
         self,
         step: int,
-        objective: Objective,
+        objective: Persistence | Repulsion,
         vertices: Tensor,
         photo_gradient_norm: float | Callable[..., float],
     ) -> float | None:
@@ -372,29 +361,11 @@ def repulsion(positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
     radius: h, in the unit of the positions. Differentiable once; two samples at one place push each other in
     no direction (gradient 0).
     """
-    return _Repulsion.apply(positions, pairs, radius)
-
-
-class _Repulsion(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, positions: Tensor, pairs: np.ndarray, radius: float) -> Tensor:
-        points = positions.detach().numpy()
-        difference = points[pairs[:, 0]] - points[pairs[:, 1]]
-        distance = np.sqrt((difference**2).sum(axis=1))
-        overlap = np.maximum(0.0, 1.0 - distance / radius)
-        slope = -2.0 * overlap / (radius * len(points)) / np.where(distance > 0, distance, 1.0)
-        force = slope[:, None] * difference
-        gradient = np.column_stack(
-            [
-                np.bincount(pairs[:, 0], force[:, axis], len(points))
-                - np.bincount(pairs[:, 1], force[:, axis], len(points))
-                for axis in range(3)
-            ]
-        )
-        ctx.save_for_backward(positions, torch.from_numpy(gradient))
-        return torch.tensor((overlap**2).sum() / len(points), dtype=torch.float64)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
-        positions, gradient = ctx.saved_tensors
-        return FirstDerivative.apply(upstream * gradient, positions), None, None
+    points, (i, j) = positions.detach().numpy(), pairs.T
+    difference = points[i] - points[j]
+    distance = np.sqrt((difference**2).sum(axis=1))
+    overlap = np.maximum(0.0, 1.0 - distance / radius)
+    slope = -2.0 * overlap / (radius * len(points)) / np.where(distance > 0, distance, 1.0)
+    forces = (slope[:, None] * difference).T
+    gradient = [np.bincount(i, each, len(points)) - np.bincount(j, each, len(points)) for each in forces]
+    return Known.apply(positions, (overlap**2).sum() / len(points), np.column_stack(gradient))
