@@ -239,7 +239,7 @@ def run(
 
     config.shape: a shape of the study, a mesh file or a scene's folder; the record has the content's digest
     in the place of a path (`scene.given.resolve`). results: folder that gets runs/ (the record), soups/,
-    scenes/, targets/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
+    scenes/ and checkpoints/; None: `results_of`. again: run even if recorded. tell: called with
     each remark on stated Betti numbers and on a scene; strict: what contradicts the statement is an
     InputError, of a finished run after its record is written. Raises InputError for bad input, a folder
     that is not writable, or what `check_unedited` refuses, before any training."""
@@ -265,7 +265,7 @@ def run(
         mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
         of_it, points = within(scene), scene.points
         term, _ = make_run_term(config, None, points, bundle=bundle, strict=strict, tell=tell, within=of_it)
-        target = None if mesh is None else make_target(mesh, config.samples, cache=results / "targets")
+        target = None if mesh is None else make_target(mesh, config.samples)
         resampler, importance = make_run_allocation(config, mesh, scene.points)
         cpu = time.process_time()
         state = train(

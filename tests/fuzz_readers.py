@@ -196,7 +196,7 @@ def _soups(folder: Path) -> dict[str, Sample]:
 
     import torch
 
-    from paper_artifact.soup.adam import soup_optimiser
+    from paper_artifact.soup.adam import SoupOptimiser
     from paper_artifact.soup.initialise import initial_soup
     from paper_artifact.soup.state import load_soup, save_soup
     from paper_artifact.train.state import TrainState, resumed_state, write_checkpoint
@@ -206,7 +206,7 @@ def _soups(folder: Path) -> dict[str, Sample]:
     soup = initial_soup(stream(0, "fuzz soup").normal(size=(40, 3)).astype(np.float32), 12, 0)
     save_soup(folder / "soup.npz", soup)
     backend: Any = SimpleNamespace(to_host=lambda each: each, to_device=lambda each: each)
-    state, file = TrainState(10, soup, soup_optimiser(soup)), folder / "checkpoint.pt"
+    state, file = TrainState(10, soup, SoupOptimiser(soup)), folder / "checkpoint.pt"
     write_checkpoint(file, tiny_config(), state, None, backend)
 
     def resume() -> object:

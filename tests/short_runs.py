@@ -118,11 +118,7 @@ def digests(folder: Path, since: dict[Path, float]) -> dict[str, str]:
         elif path.parent.name == "soups":
             with np.load(path) as arrays:
                 found[name] = short(b"".join(arrays[each].tobytes() for each in sorted(arrays.files)))
-        elif (
-            path.parts[-2] in ("targets", "checkpoints")
-            or "scenes" in path.parts
-            or path.name.startswith(".")
-        ):
+        elif path.parts[-2] == "checkpoints" or "scenes" in path.parts or path.name.startswith("."):
             continue
         elif path.suffix == ".json":
             found[name] = short(json.dumps(bare(json.loads(path.read_text(encoding="utf-8")))).encode())

@@ -111,10 +111,10 @@ def wait_for_end(pid: int) -> None:
 
 
 def results_with_scene(folder: Path, copy_of: Path | None = None) -> Path:
-    """Make a results folder, with the scenes and targets of another one where given."""
+    """Make a results folder, with the scenes of another one where given."""
     folder.mkdir()
-    for name in ("scenes", "targets") if copy_of else ():
-        shutil.copytree(copy_of / name, folder / name)
+    if copy_of:
+        shutil.copytree(copy_of / "scenes", folder / "scenes")
     return folder
 
 

@@ -139,16 +139,16 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
 
     resampler = allocating_resampler(config, config.allocation, importance)
     soup, report = resampler.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
-    assert report.pruned == min(count, 60)
+    assert report["pruned"] == min(count, 60)
     # The plain rule on the same pruned soup: only the order of pruning differs.
     plain = replace(plain_resampler(config), prune_weight=resampler.prune_weight)
     expected, plain_report = plain.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
-    assert len(soup) == report.after == plain_report.after >= report.pruned
-    assert (report.after > report.pruned) == (split_height < 1)
+    assert len(soup) == report["after"] == plain_report["after"] >= report["pruned"]
+    assert (report["after"] > report["pruned"]) == (split_height < 1)
     # Where splitting cuts every triangle small anyway, halving some first changes nothing.
     assert torch.equal(soup.vertices, expected.vertices) == (split_height == 0.1)
     late, late_report = resampler.resample(soup_of(count), views, 40, 40, 0, 2400, 2500)
-    assert late_report.after == late_report.pruned == len(late)  # nothing is made when nothing is split
+    assert late_report["after"] == late_report["pruned"] == len(late)  # nothing is made when nothing is split
 
 
 def test_a_share_of_less_than_a_triangle_and_a_target_without_features_are_refused():

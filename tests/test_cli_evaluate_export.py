@@ -22,11 +22,6 @@ from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr("paper_artifact.evaluate.scores.TARGETS", tmp_path / "targets")
-
-
 @pytest.fixture()
 def soup_file(tmp_path):
     """The icosphere of radius .95 as a soup of opaque orange triangles, saved as the trainer saves it."""

@@ -73,7 +73,7 @@ def test_a_committed_soup_is_the_one_of_its_record(shape, condition):
     tables = results.load(studies=["table2"])
     (name,) = tables.of("table2").query("shape == @shape and condition == @condition and seed == 0")["run"]
     soup, last = load_soup(tables.soup_path(name)), read_record(tables.folder / f"{name}.json")["dumps"][-1]
-    corners, target = soup.vertices.detach().numpy(), make_target(surface(shape), cache=None)
+    corners, target = soup.vertices.detach().numpy(), make_target(surface(shape))
     again = evaluate_soup(corners, soup.corner_opacity(), target, seed=0, step=last["step"])
     assert again["counts"] == last["counts"]
     for quantity in ("bottleneck", "chamfer", "hausdorff95"):

@@ -83,13 +83,9 @@ def test_chamfer_and_hausdorff_equal_brute_force():
             point_distances(a, bad, diagonal)
 
 
-def test_dump_of_a_shrunken_sphere_reads_the_known_change(tmp_path):
-    target = make_target(icosphere(), count=4000, cache=tmp_path)
+def test_dump_of_a_shrunken_sphere_reads_the_known_change():
+    target = make_target(icosphere(), count=4000)
     assert target.dimension == 2 and target.counts == (0, 0, 1)
-    again = make_target(icosphere(), count=4000, cache=tmp_path)
-    assert len(list(tmp_path.glob("*.npz"))) == 1 and again.floor == target.floor
-    for bars, cached in zip(target.diagram, again.diagram, strict=True):
-        np.testing.assert_array_equal(bars, cached)
     vertices = icosphere(0.9).vertices[icosphere().faces]
     dump = evaluate_soup(vertices, np.full((len(vertices), 3), 0.8), target, seed=1, step=500)
     # The void's death is the sphere's radius / diagonal: a tenth of 1 / D is lost, and every point is .1 off.
@@ -99,14 +95,6 @@ def test_dump_of_a_shrunken_sphere_reads_the_known_change(tmp_path):
     assert dump["chamfer_sum"] == pytest.approx(2 * dump["chamfer"], rel=1e-6)
     assert dump["bars"][2][0][1] == pytest.approx(0.9 / target.diagonal, rel=0.02)
     assert evaluate_soup(vertices, np.full((len(vertices), 3), 0.8), target, seed=1, step=500) == dump
-
-
-def test_damaged_target_cache_is_made_anew(tmp_path):
-    target = make_target(icosphere(), count=500, cache=tmp_path)
-    stored = next(tmp_path.glob("*.npz"))
-    stored.write_bytes(stored.read_bytes()[:200])
-    again = make_target(icosphere(), count=500, cache=tmp_path)
-    np.testing.assert_array_equal(again.diagram[1], target.diagram[1])
 
 
 def test_soup_samples_follow_area_times_opacity():
@@ -154,11 +142,11 @@ def test_discriminating_dimension():
     assert discriminating_dimension((1, 0, 0), (0, 0, 1)) == 2
     assert discriminating_dimension(None, (0, 0, 1)) == 2
     with pytest.raises(InputError, match="0, 1 or 2"):
-        make_target(icosphere(), count=100, dimension=3, cache=None)
+        make_target(icosphere(), count=100, dimension=3)
 
 
 def test_evaluate_samples_refuses_diverged_samples():
-    target = make_target(icosphere(), count=300, cache=None)
+    target = make_target(icosphere(), count=300)
     samples = target.samples.copy()
     samples[7, 1] = np.nan
     with pytest.raises(InputError):

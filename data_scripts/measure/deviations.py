@@ -47,7 +47,7 @@ def opacity_rows(shape: str, soup: Soup) -> Iterator[tuple]:
     shares = [each * face_areas(flat, faces) for each in weights.values()]
     shares = [each / each.sum() for each in shares]
     yield "opacity", shape, "total variation", float(np.abs(shares[0] - shares[1]).sum() / 2)
-    target = make_target(surface(shape), cache=None)
+    target = make_target(surface(shape))
     for name, weight in weights.items():
         generator = stream(0, "evaluation samples", 2500)
         points = sample_surface(flat, faces, SAMPLES, generator, weights=weight)[0]

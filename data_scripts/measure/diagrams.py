@@ -31,7 +31,7 @@ SHORTEST = 0.001  # about a twentieth of the floor
 def run_bars(condition: str) -> pd.DataFrame:
     """Return the bars of one run at STEPS; the run has the bits of `pipeline.run`."""
     config, mesh, tables = study_config(SHAPE, condition, SEED), find_mesh(SHAPE), []
-    target = make_target(mesh, cache=None)
+    target = make_target(mesh)
     scene, (term, _) = prepare_scene(config, mesh, RESULTS / "scenes"), make_run_term(config, mesh)
 
     def keep(soup, step):

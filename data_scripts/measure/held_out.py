@@ -134,7 +134,7 @@ def mesh_file(shape: str, folder: Path) -> Path:
 @cache
 def clean_counts(mesh: Path) -> tuple[int, ...]:
     """Return the significant bars per dimension of 20,000 samples of the surface itself."""
-    return make_target(load_mesh(mesh), cache=None).counts
+    return make_target(load_mesh(mesh)).counts
 
 
 def row_of(shape: str, betti: Betti | None, arm: str, seed: int, folder: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ SEEDS = range(20)
 
 def rows_of(shape: str, seeds: range = SEEDS) -> list[dict]:
     """Return the rows of one shape."""
-    mesh, target = surface(shape), make_target(surface(shape), cache=None)
+    mesh, target = surface(shape), make_target(surface(shape))
     rows = []
     for seed in seeds:
         generator = stream(seed, "perfect surface")

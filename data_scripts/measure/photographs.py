@@ -70,7 +70,7 @@ def measured(thing: str, seeds: list[int]) -> Iterator[dict[str, Any]]:
         place = Path(folder) / thing
         photographs_scene(SCRIPTS / thing / "photographs", place, PhotosConfig(size=SIZE))
         scene, subject = load_scene(place, holdout=HOLDOUT), subject_of_scene(place)
-        target, to_truth = make_target(truth, cache=None), similarity(*centres(place, thing))
+        target, to_truth = make_target(truth), similarity(*centres(place, thing))
         for seed, condition in product(seeds, ARMS):
             soup, record = trained(place, condition, seed, Path(folder) / "results", BETTI[thing])
             of_it = soup.select(

@@ -29,7 +29,7 @@ from paper_artifact.raster.threads import one_torch_thread, set_thread_count
 from paper_artifact.record.environment import cpu_model, packages
 from paper_artifact.scene.load import Scene
 from paper_artifact.scene.shapes import find_mesh
-from paper_artifact.soup.adam import soup_optimiser
+from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import CpuBackend
 from paper_artifact.train.loop import train
@@ -83,7 +83,7 @@ def stepper(scene: Scene, soup: Soup, triangles: int, size: int) -> Callable[[],
     the learning rates are those of a run's end, so that the soup stays what it is."""
     views = scene.train[np.arange(BATCH) * len(scene.train) // BATCH]
     backend, own = CpuBackend(resized_scene(scene, views, size), views), resized_soup(soup, triangles)
-    config, optimiser, taken = study_config("sphere", steps=1), soup_optimiser(own), 0
+    config, optimiser, taken = study_config("sphere", steps=1), SoupOptimiser(own), 0
     rates = learning_rates(config, float(scene.radius), config.steps)
 
     @one_torch_thread()  # as the trainer does: torch's threads would spin beside the kernels

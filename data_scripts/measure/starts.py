@@ -19,7 +19,7 @@ from paper_artifact.train.loop import start_state
 if __name__ == "__main__":
     folder, rows = options(__doc__).out, []
     for shape in (row.name for row in SHAPES):
-        target = make_target(surface(shape), cache=None)
+        target = make_target(surface(shape))
         for seed in range(5):
             config = study_config(shape, seed=seed)
             scene = prepare_scene(config, find_mesh(shape), RESULTS / "scenes")

@@ -7,10 +7,8 @@ dimensionless: lengths are divided by the ground truth's bounding-box diagonal, 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -18,15 +16,13 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import Diagram, bottlenecks, diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import point_distances
-from paper_artifact.files import RESULTS, cut_name, load_npz, write_npz
-from paper_artifact.mesh import Mesh, mesh_hash
+from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_soup, sample_surface
 from paper_artifact.topology.floor import measurement_floor
 
 SAMPLES = 20_000
 TAIL_DUMPS = 3  # a tail is the mean of the last dumps (paper §4)
-TARGETS = RESULTS / "targets"
 DIGITS = 7  # significant digits kept in a dump: far below sampling noise, and a record stays small
 
 
@@ -48,34 +44,16 @@ class Target:
         return significant_counts(self.diagram, self.floor)
 
 
-def make_target(
-    mesh: Mesh,
-    count: int = SAMPLES,
-    seed: int = 0,
-    dimension: int | None = None,
-    cache: Path | None = TARGETS,
-) -> Target:
+def make_target(mesh: Mesh, count: int = SAMPLES, seed: int = 0, dimension: int | None = None) -> Target:
     """Return the Target of `mesh` from `count` area-weighted samples drawn with `seed`.
 
     dimension: the judged one; None takes the study's for its shapes, else `discriminating_dimension`'s rule.
-    cache: a folder that keeps the diagram (some MB a target, not for git), or None. A cached file that does
-    not match or cannot be read is made anew. Raises InputError for a dimension outside 0..2 or a mesh that
-    cannot be sampled.
+    Raises InputError for a dimension outside 0..2 or a mesh that cannot be sampled.
     """
     if dimension not in (None, 0, 1, 2):
         raise InputError(f"the discriminating dimension must be 0, 1 or 2, got {dimension}")
     samples = sample_surface(mesh.vertices, mesh.faces, count, stream(seed, "target samples"))[0]
-    path = (
-        None
-        if cache is None
-        else Path(cache) / f"{_file_name(mesh.name)}-{count}-s{seed}-{_digest(mesh, count, seed)}.npz"
-    )
-    diagram = _cached_diagram(path)
-    if diagram is None:
-        diagram = diagram_of(samples, mesh.diagonal)
-        if path is not None:
-            write_npz(path, {f"bars_{dimension}": bars for dimension, bars in enumerate(diagram)})
-    floor = measurement_floor(samples, mesh.diagonal)
+    diagram, floor = diagram_of(samples, mesh.diagonal), measurement_floor(samples, mesh.diagonal)
     if dimension is None:
         row = shape_row(mesh.name)
         dimension = (
@@ -190,24 +168,3 @@ def tails(dumps: Sequence[Mapping], last: int = TAIL_DUMPS) -> dict:
 
 def _rounded(value: float) -> float:
     return float(f"{float(value):.{DIGITS}g}")
-
-
-def _file_name(name: str) -> str:
-    plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in Path(name).name)
-    return cut_name(plain)
-
-
-def _digest(mesh: Mesh, count: int, seed: int) -> str:
-    """Return 12 hex digits of what the cached diagram depends on: the units, the draw and the mesh."""
-    content = f"diagram 2, radius/diagonal, {count}, {seed}, {mesh_hash(mesh)}"
-    return hashlib.sha256(content.encode()).hexdigest()[:12]
-
-
-def _cached_diagram(path: Path | None) -> Diagram | None:
-    if path is None or not path.is_file():
-        return None
-    try:
-        stored = load_npz(path)
-        return tuple(stored[f"bars_{dimension}"] for dimension in range(3))
-    except (OSError, ValueError, KeyError):
-        return None  # a damaged cache costs seconds, not a run

@@ -1,5 +1,4 @@
-"""Adam for a soup: one kernel per rule on the CPU, torch's optimisers on other devices; both with the same
-three methods.
+"""Adam for a soup: one kernel per rule for float32 on the CPU, torch's operations elsewhere.
 
 Plain Adam (Kingma & Ba, ICLR 2015) for features, opacity and MLP; VectorAdam (Ling, Sharp, Jacobson, NeurIPS
 2022) for the vertices: its second moment is pooled over the last dimension, one step size per vector, so the
@@ -10,55 +9,17 @@ are given anew at every step, by the name of what they move: "vertices", "featur
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from paper_artifact.arithmetic import power
 from paper_artifact.kernel_cache import njit
 from paper_artifact.soup.state import Soup
-
-
-class VectorAdam(torch.optim.Optimizer):
-    """Optimizer of tensors (…, 3): second moment = running mean of the squared gradient norm, betas (.9,
-    .999), eps 1e-8; a group's "units" (…) multiply lr vector by vector."""
-
-    def __init__(
-        self,
-        parameters: Iterable[torch.Tensor],
-        lr: float,
-        betas: tuple[float, float] = (0.9, 0.999),
-        eps: float = 1e-8,
-    ) -> None:
-        super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps, "units": None})
-
-    @torch.no_grad()
-    def step(self, closure: None = None) -> None:  # type: ignore[override]
-        """Take one step for every parameter with a gradient; a closure is not supported and must be None."""
-        if closure is not None:
-            raise ValueError("VectorAdam takes no closure")
-        for group in self.param_groups:
-            beta1, beta2 = group["betas"]
-            for parameter in group["params"]:
-                if parameter.grad is None:
-                    continue
-                state = self.state[parameter]
-                if not state:
-                    state["step"] = 0
-                    state["mean"] = torch.zeros_like(parameter)
-                    state["square"] = torch.zeros_like(parameter[..., :1])
-                state["step"] += 1
-                state["mean"].lerp_(parameter.grad, 1 - beta1)
-                state["square"].lerp_(parameter.grad.square().sum(-1, keepdim=True), 1 - beta2)
-                mean = state["mean"] / (1 - beta1 ** state["step"])
-                scale = (state["square"] / (1 - beta2 ** state["step"])).sqrt_().add_(group["eps"])
-                if group["units"] is not None:
-                    mean = mean * group["units"].unsqueeze(-1)
-                parameter.addcdiv_(mean, scale.expand_as(mean), value=-group["lr"])
-
 
 NAMES = ("vertices", "features", "opacity", *["mlp"] * 6)  # of `Soup.tensors`
 _BETA1, _BETA2, _EPS = 0.9, 0.999, 1e-8
@@ -108,85 +69,61 @@ def _corrections(step: int) -> tuple[float, float]:
     return math.sqrt(1 - power(_BETA2, step)), 1 - power(_BETA1, step)
 
 
-class KernelOptimiser:
-    """Adam of a soup whose tensors are float32 on the CPU; it writes to them in place."""
+class SoupOptimiser:
+    """Adam of a soup's tensors; it writes to them in place."""
 
     def __init__(self, soup: Soup) -> None:
         """Start with zero moments."""
         self._tensors = soup.tensors()
-        self._values = [tensor.detach().view(-1).numpy() for tensor in self._tensors]
-        self._means = [np.zeros_like(value) for value in self._values]
-        self._squares = [np.zeros_like(value) for value in self._values]
-        self._squares[0] = np.zeros(len(self._values[0]) // 3, np.float32)
+        self._means = [torch.zeros_like(tensor.detach()) for tensor in self._tensors]
+        self._squares = [torch.zeros_like(mean) for mean in self._means]
+        self._squares[0] = torch.zeros_like(soup.vertices.detach()[..., 0])
         self._steps = dict.fromkeys(NAMES, 0)  # taken with these moments
+        self._flat = None  # for the kernels: the same values and moments as flat arrays
+        if soup.vertices.device.type == "cpu" and soup.vertices.dtype == torch.float32:
+            parts = zip(self._tensors, self._means, self._squares, strict=True)
+            self._flat = [[each.detach().view(-1).numpy() for each in part] for part in parts]
 
+    @torch.no_grad()
     def step(self, rates: Mapping[str, float], units: np.ndarray | None = None) -> None:
         """Move every tensor along its gradient; rates by name, see `NAMES`. units: what the vertices' rate is
         multiplied by at each vertex, (T,3) float32; None: 1."""
         for name in self._steps:
             self._steps[name] += 1
-        scale = np.ones(len(self._squares[0]), np.float32) if units is None else units.reshape(-1)
+        scale = np.ones(self._squares[0].shape, np.float32) if units is None else units
         numbers = {name: _corrected(rates[name], step) for name, step in self._steps.items()}
-        arrays = zip(NAMES, self._tensors, self._values, self._means, self._squares, strict=True)
-        for name, tensor, value, mean, square in arrays:
+        for index, (name, tensor) in enumerate(zip(NAMES, self._tensors, strict=True)):
             assert tensor.grad is not None, "a step without gradients"
+            if self._flat is None:
+                self._torch_step(index, tensor.grad, *numbers[name], scale)
+                continue
+            value, mean, square = self._flat[index]
             moments = value, tensor.grad.numpy().reshape(-1), mean, square, *numbers[name]
             if name == "vertices":
-                _vector_adam(*moments, scale)
+                _vector_adam(*moments, scale.reshape(-1))
             else:
                 adam(*moments)
 
+    def _torch_step(
+        self, index: int, gradient: Tensor, rate: np.float32, eps: np.float32, scale: np.ndarray
+    ) -> None:
+        """Do what `adam` does, or `_vector_adam` for the vertices (index 0); any device and dtype."""
+        mean, square = self._means[index], self._squares[index]
+        mean.lerp_(gradient, 1 - _BETA1)
+        squared = gradient.square()
+        square.lerp_(squared if index else squared.sum(-1), 1 - _BETA2)
+        factor = float(rate) / (square.sqrt() + float(eps))
+        if not index:
+            factor = (factor * torch.from_numpy(scale).to(factor)).unsqueeze(-1)
+        self._tensors[index].sub_(factor * mean)
+
     def mlp_state(self) -> dict[str, Any]:
         """Return the MLP's moments and the number of steps they saw, as `load_mlp_state` takes them."""
-        moments = {"mean": self._means, "square": self._squares}
-        state = {name: [torch.from_numpy(array) for array in arrays[3:]] for name, arrays in moments.items()}
-        return {"step": self._steps["mlp"], **state}
+        return {"step": self._steps["mlp"], "mean": self._means[3:], "square": self._squares[3:]}
 
     def load_mlp_state(self, state: Mapping[str, Any]) -> None:
         """Go on with moments of another soup's MLP."""
         self._steps["mlp"] = state["step"]
         mine = (*self._means[3:], *self._squares[3:])
-        for array, moment in zip(mine, (*state["mean"], *state["square"]), strict=True):
-            array[:] = moment.cpu().numpy()
-
-
-class TorchOptimiser:
-    """As `KernelOptimiser`, by torch's optimisers: any device and dtype."""
-
-    def __init__(self, soup: Soup) -> None:
-        """Start with zero moments."""
-        self._mlp = soup.mlp
-        self._optimisers = {
-            "vertices": VectorAdam([soup.vertices], lr=0.0),
-            "features": torch.optim.Adam([soup.features]),
-            "opacity": torch.optim.Adam([soup.opacity]),
-            "mlp": torch.optim.Adam(soup.mlp),
-        }
-
-    def step(self, rates: Mapping[str, float], units: np.ndarray | None = None) -> None:
-        """As `KernelOptimiser.step`."""
-        group = self._optimisers["vertices"].param_groups[0]
-        group["units"] = None if units is None else torch.from_numpy(units).to(group["params"][0])
-        for name, optimiser in self._optimisers.items():
-            optimiser.param_groups[0]["lr"] = rates[name]
-            optimiser.step()
-
-    def mlp_state(self) -> dict[str, Any]:
-        """Return the MLP's moments and the number of steps they saw, as either `load_mlp_state` takes
-        them."""
-        states = [self._optimisers["mlp"].state[tensor] for tensor in self._mlp]
-        mean, square = ([state[name].flatten() for state in states] for name in ("exp_avg", "exp_avg_sq"))
-        return {"step": int(states[0]["step"]), "mean": mean, "square": square}
-
-    def load_mlp_state(self, state: Mapping[str, Any]) -> None:
-        """Go on with moments of another soup's MLP."""
-        for tensor, mean, square in zip(self._mlp, state["mean"], state["square"], strict=True):
-            mean, square = (moment.to(tensor).reshape(tensor.shape).clone() for moment in (mean, square))
-            saved = {"step": torch.tensor(float(state["step"])), "exp_avg": mean, "exp_avg_sq": square}
-            self._optimisers["mlp"].state[tensor] = saved
-
-
-def soup_optimiser(soup: Soup) -> KernelOptimiser | TorchOptimiser:
-    """Return a new optimiser of the soup's tensors: kernels where the rasterizer's are, else torch."""
-    on_kernels = soup.vertices.device.type == "cpu" and soup.vertices.dtype == torch.float32
-    return KernelOptimiser(soup) if on_kernels else TorchOptimiser(soup)
+        for tensor, moment in zip(mine, (*state["mean"], *state["square"]), strict=True):
+            tensor.copy_(moment.reshape(tensor.shape))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,13 +21,12 @@ from paper_artifact.randomness import stream
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
-from paper_artifact.soup.adam import soup_optimiser
+from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.resample import Resampler, plain_resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.state import (
-    LossTerm,
     TrainingError,
     TrainState,
     learning_rates,
@@ -34,6 +34,9 @@ from paper_artifact.train.state import (
     write_checkpoint,
 )
 from paper_artifact.train.watch import Watch
+
+if TYPE_CHECKING:
+    from paper_artifact.topology.term import TopologyTerm
 
 
 def batch_views(train: np.ndarray, batch: int, seed: int, step: int) -> np.ndarray:
@@ -50,7 +53,7 @@ def train(
     scene: Scene,
     config: RunConfig,
     *,
-    term: LossTerm | None = None,
+    term: TopologyTerm | None = None,
     evaluate: Callable[[Soup, int], dict] | None = None,
     checkpoint: Path | None = None,
     progress: Callable[[int, str], None] | None = None,
@@ -109,7 +112,7 @@ def train(
                     soup, views_of_all, height, width, config.seed, step, config.steps
                 )
                 state.replace_soup(backend.to_device(soup))
-                state.resamplings.append({"step": step, **vars(report)})
+                state.resamplings.append({"step": step, **report})
         if evaluate is not None and step in config.dump_steps:
             with state.timed("evaluate"):
                 state.dumps.append(evaluate(backend.to_host(state.soup), step))
@@ -128,10 +131,10 @@ def start_state(
     """Return the state before the first step: a soup of `initial_ratio` times the budget on the SfM cloud."""
     count = max(2, round(config.initial_ratio * config.budget))
     soup = backend.to_device(initial_soup(scene.points, count, config.seed, importance))
-    return TrainState(0, soup, soup_optimiser(soup))
+    return TrainState(0, soup, SoupOptimiser(soup))
 
 
-def _add_term(term: LossTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
+def _add_term(term: TopologyTerm, state: TrainState, photometric: Callable[[int], float]) -> None:
     """Add the term's gradient to that of the soup's vertices. Raises TrainingError unless it is finite.
 
     photometric(step) sets the soup's gradients to those of that step's batch.

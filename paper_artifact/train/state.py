@@ -1,5 +1,4 @@
-"""A run's state between two steps (soup, optimiser, history), its learning rates, its checkpoints, and what a
-loss term must offer to the training loop.
+"""A run's state between two steps (soup, optimiser, history), its learning rates, its checkpoints.
 
 A checkpoint holds all that a run needs to go on to the same bits, written atomically right after a
 resampling: there the soup's optimiser is new and the topology plan is due, so neither has to be stored; the
@@ -18,19 +17,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from paper_artifact.arithmetic import power
 from paper_artifact.config import RunConfig, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_bytes, write_failure
-from paper_artifact.soup.adam import KernelOptimiser, TorchOptimiser, soup_optimiser
+from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.state import Soup, soup_of
 from paper_artifact.train.backend import Backend
+
+if TYPE_CHECKING:
+    from paper_artifact.topology.term import TopologyTerm
 
 # what the optimiser moves → the setting that is its learning rate
 RATES = {"vertices": "vertex_lr", "features": "feature_lr", "opacity": "opacity_lr", "mlp": "mlp_lr"}
@@ -47,7 +48,7 @@ class TrainState:
 
     step: int  # steps taken: steps count from 1, 0 is the start
     soup: Soup  # on the backend's device while training, on the CPU at the end
-    optimiser: KernelOptimiser | TorchOptimiser  # of the soup's tensors
+    optimiser: SoupOptimiser  # of the soup's tensors
     resampled: bool = True  # the soup was changed wholesale since the last step, as at the start
     losses: list[float] = field(default_factory=list)  # photometric loss of every step, dimensionless
     dumps: list[dict] = field(default_factory=list)  # evaluations
@@ -69,7 +70,7 @@ class TrainState:
         """Go on with another soup: a new optimiser, but the MLP's moments stay, since only its tensors may be
         new ones."""
         moments = self.optimiser.mlp_state()
-        self.soup, self.optimiser, self.resampled = soup, soup_optimiser(soup), True
+        self.soup, self.optimiser, self.resampled = soup, SoupOptimiser(soup), True
         self.optimiser.load_mlp_state(moments)
 
     def check(self, loss: float, config: RunConfig) -> None:
@@ -99,32 +100,6 @@ def learning_rates(config: RunConfig, radius: float, step: int) -> dict[str, flo
     decay = power(config.final_lr, step / config.steps)
     rates = {name: getattr(config, setting) * decay for name, setting in RATES.items()}
     return rates | {"vertices": config.vertex_lr * radius * decay}
-
-
-class LossTerm(Protocol):
-    """An additive loss on the soup's vertices (T,3,3), world units; steps count from 1."""
-
-    log: list[dict]  # what happened, JSON-able, for the record
-
-    def due(self, step: int, resampled: bool) -> bool:
-        """Return whether `refresh` is to be called; asked once a step. resampled: the soup is new."""
-
-    def refresh(self, step: int, vertices: Tensor, opacity: Tensor) -> None:
-        """Make the term's plan; opacity (T,3) in [0,1]."""
-
-    def value(self, step: int, vertices: Tensor, photo_gradient_norm: Callable[..., float]) -> Tensor | None:
-        """Return the weighted loss (scalar), differentiable by the vertices, or None while the term is
-        inactive.
-
-        photo_gradient_norm(batches=1): norm of the photometric gradient by the vertices, the mean over this
-        step's batch and those of the next batches - 1 steps.
-        """
-
-    def state(self) -> dict:
-        """Return what a resumed run needs."""
-
-    def load_state(self, state: dict) -> None:
-        """Continue from what `state` returned."""
 
 
 FORMAT = 4  # raised whenever the same state would go on to other bits
@@ -166,7 +141,7 @@ def alone(checkpoint: Path, tell: Callable[[str], object] | None = None) -> Iter
 
 
 def write_checkpoint(
-    path: Path, config: RunConfig, state: TrainState, term: LossTerm | None, backend: Backend
+    path: Path, config: RunConfig, state: TrainState, term: TopologyTerm | None, backend: Backend
 ) -> None:
     """Write the state of a run and of its term, atomically. Raises InputError when the folder is not
     writable or the disk is full."""
@@ -184,7 +159,7 @@ def write_checkpoint(
 
 
 def resumed_state(
-    path: Path | None, config: RunConfig, term: LossTerm | None, backend: Backend
+    path: Path | None, config: RunConfig, term: TopologyTerm | None, backend: Backend
 ) -> TrainState | None:
     """Return the state that the checkpoint holds, its soup on the backend's device; None when there is no
     such file.
@@ -203,7 +178,7 @@ def resumed_state(
             )
         history = {name: saved[name] for name in HISTORY}
         soup = backend.to_device(soup_of(saved["soup"]).trainable())
-        state = TrainState(soup=soup, optimiser=soup_optimiser(soup), resumed_at=history["step"], **history)
+        state = TrainState(soup=soup, optimiser=SoupOptimiser(soup), resumed_at=history["step"], **history)
         state.optimiser.load_mlp_state(saved["mlp_moments"])
         if term is not None:
             term.load_state(saved["term"])
