@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -30,31 +31,10 @@ DRACO, INSTANCES, VISIBILITY = "KHR_draco_mesh_compression", "EXT_mesh_gpu_insta
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 READ = (DRACO, INSTANCES, VISIBILITY, "KHR_mesh_quantization")
 # What extensions with these beginnings add leaves positions and triangles as they are.
-HARMLESS = (
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_",
-    "KHR_lights_",
-    "EXT_lights_",
-    "KHR_xmp",
-    "KHR_animation_",
-    "KHR_node_",
-    "EXT_mesh_features",
-    "EXT_mesh_manifold",
-    "MSFT_lod",
-    "EXT_instance_features",
-    "EXT_structural_metadata",
-    "KHR_physics",
-    "KHR_interactivity",
-    "KHR_audio",
-    "ADOBE_materials_",
-    "AGI_",
-    "CESIUM_primitive_outline",
-    "FB_",
-    "MPEG_",
-    "VRM",
-    "GODOT_",
+HARMLESS = re.compile(
+    "KHR_(materials_|texture_|lights_|xmp|animation_|node_|physics|interactivity|audio)|MSFT_(texture_|lod)|"
+    "EXT_(texture_|lights_|mesh_features|mesh_manifold|instance_features|structural_metadata)|"
+    "ADOBE_materials_|AGI_|CESIUM_primitive_outline|FB_|MPEG_|VRM|GODOT_"
 )
 
 
@@ -72,7 +52,7 @@ def read_gltf(path: Path, data: bytes) -> list[Triangles]:
             "OLD.gltf -o NEW.gltf"
         )
     for name in document.get("extensionsRequired", ()):
-        if name not in READ + MESHOPT and not str(name).startswith(HARMLESS):
+        if name not in READ + MESHOPT and not HARMLESS.match(str(name)):
             raise InputError(
                 f"it requires the glTF extension {name}, which is not read; export it without it"
             )

@@ -171,115 +171,79 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     named = [[name for name, *_ in elements], *([name for name, *_ in columns] for *_, columns in elements)]
     if twice := [name for names in named for name in names if names.count(name) > 1]:
         raise ValueError(f"it declares {twice[0]!r} twice")
-    if form == "ascii":
-        stream: _Words | _Bytes = _Words(np.array(_reals(decoded(data[header.end() :]).split())))
+    if form == "ascii":  # as doubles, whatever their types
+        rest, order = np.array(_reals(decoded(data[header.end() :]).split())).tobytes(), ""
     elif form in ("binary_little_endian", "binary_big_endian"):
-        stream = _Bytes(data[header.end() :], "<" if form == "binary_little_endian" else ">")
+        rest, order = data[header.end() :], "<" if form == "binary_little_endian" else ">"
     else:
         raise ValueError(f"its format is {form!r}")
-    found = {name: _rows(stream, count, columns) for name, count, columns in elements}
-    left = stream.data[stream.place :]
-    if len(left := left.strip(b"\r\n") if isinstance(left, bytes) else left):
-        unit = "bytes" if isinstance(left, bytes) else "numbers"
-        raise ValueError(f"it holds {len(left)} {unit} more than it declares")
+    found, place = {}, 0
+    for name, count, columns in elements:
+        found[name], place = _rows(rest, place, order, count, columns)
+    left = len(rest[place:].strip(b"\r\n")) if order else (len(rest) - place) // 8
+    if left:
+        raise ValueError(f"it holds {left} {'bytes' if order else 'numbers'} more than it declares")
     return found
 
 
-class _Words:
-    """The numbers of a text, taken in order as float64; a whole number must fit its declared type."""
+def _rows(
+    data: bytes, place: int, order: str, count: int, columns: list[tuple[str, str, str]]
+) -> tuple[dict, int]:
+    """Return the columns of an element's rows, which begin at a byte of the data, and where they end.
 
-    def __init__(self, data: np.ndarray) -> None:
-        self.data, self.place = data, 0
+    order: of bytes, "<" or ">"; "" for doubles that stand for numbers of any type. A list is the values of
+    all rows and their numbers. Rows whose lists are as long as the next one's are read as one table.
+    """
 
-    def take(self, count: int, kinds: list[str]) -> list[np.ndarray]:
-        """Return `count` rows as a column per kind."""
-        end = self.place + count * len(kinds)
-        if end > len(self.data):
-            raise ValueError("cut off: it holds fewer numbers than it declares")
-        table = self.data[self.place : end].reshape(count, len(kinds))
-        for column, kind in zip(table.T, map(np.dtype, kinds), strict=True):
-            if kind.kind != "f" and len(wrong := column[(column != np.rint(column)) | ~_fits(column, kind)]):
-                raise ValueError(f"{wrong[0]:g} is no whole number of the type {kind}")
-        self.place = end
-        return list(table.T)
+    def stored(kind: str) -> np.dtype:
+        return np.dtype(order + kind if order else "f8")
 
+    def held(end: int) -> int:
+        if end > len(data):
+            raise ValueError(f"cut off: it holds fewer {'bytes' if order else 'numbers'} than it declares")
+        return end
 
-def _fits(values: np.ndarray, kind: np.dtype) -> np.ndarray:
-    return (values >= np.iinfo(kind).min) & (values <= np.iinfo(kind).max)
-
-
-class _Bytes:
-    """Binary numbers, taken in order."""
-
-    def __init__(self, data: bytes, order: str) -> None:
-        self.data, self.order, self.place = data, order, 0
-
-    def take(self, count: int, kinds: list[str]) -> list[np.ndarray]:
-        """Return `count` rows as a column per kind."""
-        layout = np.dtype([(str(i), self.order + kind) for i, kind in enumerate(kinds)])
-        if self.place + count * layout.itemsize > len(self.data):
-            raise ValueError("cut off: it holds fewer bytes than it declares")
-        table = np.frombuffer(self.data, layout, count, self.place)
-        self.place += count * layout.itemsize
-        return [table[str(i)] for i in range(len(kinds))]
-
-
-def _rows(stream: _Words | _Bytes, count: int, columns: list[tuple[str, str, str]]) -> dict:
-    """Return the columns of an element's rows; a list is the values of all rows and their numbers."""
-    if not any(size for _, size, _ in columns):
-        taken = stream.take(count, [kind for _, _, kind in columns]) if columns else []
-        return {name: column for (name, _, _), column in zip(columns, taken, strict=True)}
-    place, length = stream.place, {}
-    if count:  # lists that are as long in every row as in the first are read at once
+    values: dict[str, list] = {name: [] for name, *_ in columns}
+    sizes = {name: [np.zeros(0, dtype=np.int64)] for name, size, _ in columns if size}
+    most = count
+    while columns and count:
+        layout: list[tuple] = []  # of the next row
+        lengths, end = {}, place
         for name, size, kind in columns:
-            length[name] = int(stream.take(1, [size])[0][0]) if size else 1
-            stream.take(max(length[name], 0), [kind])
-        stream.place = place
-        kinds = [
-            each
-            for name, size, kind in columns
-            for each in ([size] if size else []) + [kind] * max(length[name], 0)
-        ]
-        with_equal = _equal_rows(stream, count, columns, kinds, length)
-        if with_equal is not None:
-            return with_equal
-        stream.place = place
-    values: dict[str, list] = {name: [] for name, _, _ in columns}
-    sizes: dict[str, list[int]] = {name: [] for name, size, _ in columns if size}
-    for _ in range(count):
-        for name, size, kind in columns:
-            number = int(stream.take(1, [size])[0][0]) if size else 1
-            if number < 0:
-                raise ValueError(f"a list {name} with {number} values")
-            values[name].append(stream.take(number, [kind])[0])
+            length = 1
             if size:
-                sizes[name].append(number)
+                start, end = end, held(end + stored(size).itemsize)
+                length = int(_of_type(np.frombuffer(data, stored(size), 1, start), size)[0])
+                if length < 0:
+                    raise ValueError(f"a list {name} with {length} values")
+                layout.append((f"length of {name}", stored(size)))
+                lengths[name] = length
+            end = held(end + length * stored(kind).itemsize)
+            layout.append((name, stored(kind), (length,)))
+        table = np.frombuffer(data, layout, min(count, most, (len(data) - place) // (end - place)), place)
+        alike = np.ones(len(table), dtype=bool)
+        for name, length in lengths.items():
+            alike &= table[f"length of {name}"] == length
+        table = table[: len(table) if alike.all() else int(alike.argmin())]
+        for name, _, kind in columns:
+            values[name].append(_of_type(table[name].reshape(-1), kind))
+        for name, length in lengths.items():
+            sizes[name].append(np.full(len(table), length))
+        place, count, most = place + len(table) * (end - place), count - len(table), 2 * len(table)
     flat = {name: np.concatenate(each) if each else np.zeros(0) for name, each in values.items()}
     return {
-        name: (each, np.array(sizes[name], dtype=np.int64)) if name in sizes else each
-        for name, each in flat.items()
-    }
+        name: (each, np.concatenate(sizes[name])) if name in sizes else each for name, each in flat.items()
+    }, place
 
 
-def _equal_rows(
-    stream: _Words | _Bytes, count: int, columns: Sequence[tuple], kinds: list[str], length: dict
-) -> dict | None:
-    """Return `_rows` of rows that all have the first one's lengths, None where they have not."""
-    try:
-        taken = iter(stream.take(count, kinds))
-    except ValueError:
-        return None
-    result: dict = {}
-    for name, size, _ in columns:
-        if not size:
-            result[name] = next(taken)
-            continue
-        if (next(taken) != length[name]).any():
-            return None
-        each = [next(taken) for _ in range(length[name])]
-        flat = np.stack(each, axis=1).reshape(-1) if each else np.zeros(0)
-        result[name] = flat, np.full(count, length[name], dtype=np.int64)
-    return result
+def _of_type(values: np.ndarray, kind: str) -> np.ndarray:
+    """Return the numbers; raise ValueError for one that a whole type cannot hold."""
+    if values.dtype.kind == "f" and kind[0] != "f":
+        limits = np.iinfo(kind)
+        wrong = values[(values != np.rint(values)) | (values < limits.min) | (values > limits.max)]
+        if len(wrong):
+            raise ValueError(f"{wrong[0]:g} is no whole number of the type {np.dtype(kind)}")
+    return values
 
 
 def _between(run: np.ndarray) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ import numpy as np
 from paper_artifact.alpha.predicates import orient3d_filter
 from paper_artifact.certify.homology import edges_of
 from paper_artifact.errors import InputError
-from paper_artifact.ingest.distance import Boxes, Nearest, file_boxes, have_items, items_near, nearest_on
+from paper_artifact.ingest.distance import Boxes, Nearest, file_boxes, items_near, nearest_on
 from paper_artifact.kernel_cache import njit
 from paper_artifact.mesh import Mesh
 
@@ -52,19 +52,12 @@ def crossing_faces(
         changed = np.ones(len(points), dtype=bool)
     some_faces, some_edges = changed[faces].any(axis=1), changed[edges].any(axis=1)
     meets, met = np.zeros(len(edges), dtype=bool), np.zeros(len(faces), dtype=bool)
-    # Every edge against the faces that changed, then the edges that changed against other faces near those.
-    chosen, chosen_edges = some_faces, np.ones(len(edges), dtype=bool)
-    while chosen.any():
-        some = faces[chosen]
-        boxes = file_boxes(points[some], cell)
-        edge, face = _meetings(points, some, edges[chosen_edges], boxes)
-        meets[chosen_edges] |= edge
-        met[chosen] |= face
-        if chosen is not some_faces:
-            break
-        corners = points[faces]
-        chosen = ~some_faces & have_items(boxes, corners.min(axis=1), corners.max(axis=1))
-        chosen_edges = some_edges
+    for chosen, with_edges in ((some_faces, np.ones(len(edges), dtype=bool)), (~some_faces, some_edges)):
+        if chosen.any() and with_edges.any():
+            some = faces[chosen]
+            edge, face = _meetings(points, some, edges[with_edges], file_boxes(points[some], cell))
+            meets[with_edges] |= edge
+            met[chosen] |= face
     met |= meets[face_edges].any(axis=1)
     shared = np.zeros(len(edges), dtype=bool)
     shared[face_edges[some_faces]] = True

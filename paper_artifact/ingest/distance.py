@@ -75,15 +75,6 @@ def items_near(boxes, low, high):
 
 
 @njit(cache=True)
-def have_items(boxes, low, high):
-    """Return (n,) bool: whether boxes are filed near those from low (n,3) to high (n,3) float64."""
-    found = np.zeros(len(low), np.bool_)
-    for n in range(len(low)):
-        found[n] = len(items_near(boxes, low[n], high[n])) > 0
-    return found
-
-
-@njit(cache=True)
 def _file(low, high, origin, cell, shape):
     start = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
     items = np.empty(0, dtype=np.int64)
