@@ -37,6 +37,7 @@ LONGEST_NAMED = 150  # bytes of a name that other files are named after, of the 
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
 PARTIAL = ".paper_artifact-partial-"  # what temporary folders are called, and nothing of others
 LOCK = "lock"  # the file in one that its owner has locked
+WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte-order marks of UTF-16
 MANIFEST = ".paper_artifact.json"  # in a folder: {command or part of it: names of the files that it wrote}
 FIGURES_VARIABLE = "PAPER_ARTIFACT_FIGURES"  # where a notebook's figures go: folder/name, "_key.svg" is added
 
@@ -367,9 +368,8 @@ def inside(folder: Path, name: str) -> Path:
 def decoded(data: bytes) -> str:
     """Return a text file's bytes as text: UTF-16 with a byte-order mark, UTF-8 with or without one. Every
     line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names."""
-    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-    text = data.decode("utf-16", "replace") if wide else data.decode("utf-8-sig", "surrogateescape")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    code, errors = ("utf-16", "replace") if data[:2] in WIDE else ("utf-8-sig", "surrogateescape")
+    return data.decode(code, errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def whole(word: str) -> int:

@@ -82,6 +82,8 @@ def sample_surface(
     count = whole("the number of samples", count, 0, 10**15)
     if count > MANY:
         require_memory(BYTES * count, f"{count} samples", "give fewer samples")
+    if not isinstance(generator, np.random.Generator):
+        raise InputError(f"the generator is {generator!r:.60}; give numpy's, as stream(seed, 'a name') does")
     vertices, faces = check_indices(vertices, faces, "the surface")
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         mass = face_areas(vertices, faces)

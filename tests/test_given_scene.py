@@ -292,6 +292,9 @@ def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
     Image.fromarray(mask // 255).save(own / "masks" / plain.names[3])
     with pytest.raises(InputError, match="has values up to 1; save what counts as white, 255"):
         load_scene(own)
+    Image.new("RGB", (44, 44), "lime").save(own / "masks" / plain.names[3])
+    with pytest.raises(InputError, match="is coloured; save white where"):
+        load_scene(own)
     Image.new("L", (9, 9)).save(own / "masks" / plain.names[3])
     with pytest.raises(InputError, match="9×9 pixels, its photograph 44×44"):
         load_scene(own)

@@ -96,7 +96,7 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
     ]
     assert main([*words, "--views", "7", "--points", "60"]) == 0
     told = capsys.readouterr().out
-    assert "7 views of at most 400 pixels (1 held out), 60 points (hull)" in told
+    assert "7 views of at most 400 pixels (1 held out), 60 points" in told
     assert "nothing ran" not in told
     written = (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns
     assert main([*words, "--views", "7", "--points", "60"]) == 0
@@ -137,6 +137,16 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
             },
             "if it lists columns, transpose it",
         ),
+        (
+            {
+                "frames": [
+                    {"file_path": "train/r_0", "transform_matrix": (np.eye(4) + np.eye(4, k=1)).tolist()}
+                ]
+                * 2
+            },
+            "is no pose",  # but sheared
+        ),
+        ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
         ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
         ({"w": 1e-300, "fl_x": 70.0}, "are none of a camera of 60 pixels"),
@@ -176,6 +186,7 @@ def test_a_frame_has_its_own_intrinsics(folder, cameras):
         {"camera_angle_x": None, "camera_angle_y": 2 * np.arctan(SIZE / 2 / focal)},
         {"camera_angle_x": None, "fl_y": focal},
         {"fl_x": 3 * focal, "w": 3 * SIZE, "h": 3 * SIZE},
+        {"fl_x": 3 * focal, "h": 3 * SIZE},
     ):
         camera = read_transforms(changed(folder, **values))[0].camera
         assert np.allclose((camera.focal_x, camera.focal_y), focal)

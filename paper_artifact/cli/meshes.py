@@ -78,6 +78,11 @@ def certify(options: Certify) -> tuple[int, Any]:
         raise WrongUsage("give --fill or --cut, one at a time: the other's numbers change with it")
     if options.fill or options.cut:
         _mended(options)
+    wanted = {"out": not (options.fill or options.cut), "strict": not options.candidates}
+    wanted |= dict.fromkeys(("where", "fill", "cut", "closed"), options.candidates)
+    if lost := [name for name, without in wanted.items() if without and getattr(options, name)]:
+        asks = {"out": "--fill or --cut", "strict": "--candidates"}.get(lost[0], "a mesh")
+        raise WrongUsage(f"--{lost[0]} has a meaning with {asks} alone")
     if options.mesh is None:
         rows = dispositions()
         print(f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured")
@@ -261,7 +266,7 @@ def _check_other(folder: Path, mesh: str) -> None:
 
 def audit(options: AuditOptions) -> int:
     """Audit, write the page, print a summary. Returns 0, also when nothing is measurable."""
-    if options.mesh is None or options.mesh.endswith(".npz"):
+    if options.mesh is None or options.mesh.lower().endswith(".npz"):
         if unused := words_of(options, "mesh", "scene"):
             raise WrongUsage(
                 f"{unused[0]} belongs to the audit of a mesh; a soup or a cloud takes --scene alone"

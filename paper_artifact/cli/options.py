@@ -28,14 +28,15 @@ import sys
 import types
 import typing
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields
 from os.path import realpath
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NewType, TypeVar
+from urllib.parse import unquote
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, run_record
+from paper_artifact.files import REPOSITORY, load_json, run_record
 
 T = TypeVar("T")
 POSITIONAL = "positional"
@@ -45,6 +46,7 @@ LONGEST_NAME, LONGEST_PATH = 255, 4000  # bytes that file systems take
 MODEL = ("cameras", "images", "points3D", "rigs", "frames")  # files of COLMAP's
 SCENE_FILES = {
     "scene.json",
+    "ground_truth.npz",
     "transforms.json",
     *(f"{name}.{end}" for name in MODEL for end in ("txt", "bin", "ply")),
 }
@@ -165,7 +167,7 @@ def words_of(options: Options, *without: str) -> list[object]:
 def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
     """Raise WrongUsage where two files or folders to write (Path), or a file that is read (Source) and one to
     write, are the same. named: (flag, type, path) of each option."""
-    soups = [(flag, path) for flag, _, path in named if path.suffix == ".npz"]
+    soups = [(flag, path) for flag, _, path in named if path.suffix.lower() == ".npz"]
     records = [(f"the record of {flag}", Source, run_record(path)) for flag, path in soups]
     for flag, _, path in (each for each in named if each[1] is Path):
         for other, kind, known in (*named, *records):
@@ -173,20 +175,36 @@ def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
                 raise WrongUsage(
                     f"{other} and {flag} are both {path}, which would be lost; give one another name"
                 )
-            top = Path(realpath(known))
-            if kind is not Source or not path.is_file():
-                continue
-            beside = path.parent.resolve() == (top if top.is_dir() else top.parent)
-            used = (
-                path.name in SCENE_FILES if beside and top.is_dir() else top in Path(realpath(path)).parents
-            )
-            names = (
-                top / "transforms.json" if top.is_dir() else top if top.suffix.lower() == ".gltf" else None
-            )
-            if beside and names and names.is_file():
-                used |= path.name.encode() in names.read_bytes()
-            if used:
+            if kind is Source and path.is_file() and _is_part(Path(realpath(path)), Path(realpath(known))):
                 raise WrongUsage(f"{flag} {path} is a file of {other} {known}; give another name")
+
+
+def _is_part(file: Path, known: Path) -> bool:
+    """Return whether `file` belongs to what is read at `known`: to a scene's folder, whose top level may hold
+    what others wrote, or to the files that a transforms.json or a .gltf names. Both are resolved."""
+    from paper_artifact.formats.named import IMAGE_ENDINGS
+    from paper_artifact.scene.folder import scene_root
+
+    top = scene_root(known) if known.is_dir() else known.parent
+    if top not in file.parents:
+        return False
+    if known.is_dir() and (file.parent != top or file.name in SCENE_FILES):
+        return True
+    listing = top / "transforms.json" if known.is_dir() else known
+    if listing.suffix.lower() not in (".json", ".gltf"):
+        return False
+    with suppress(OSError, ValueError):
+        content = load_json(listing)
+        if listing.suffix.lower() == ".gltf" or "frames" in content:
+            names = {PurePosixPath(unquote(text)).name for text in _texts_of(content) if len(text) < 4096}
+            return file.name in names or (file.suffix.lower() in IMAGE_ENDINGS and file.stem in names)
+    return False
+
+
+def _texts_of(value: Any) -> Iterator[str]:
+    """Yield the texts of a JSON value."""
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from (each,) if isinstance(each, str) else _texts_of(each)
 
 
 def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:

@@ -17,7 +17,9 @@ from paper_artifact.photos.register import Registered
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.scene import fetch as downloads
 from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.fetch import photo_sets, source, sources
+from paper_artifact.scene.folder import model_folder
 from paper_artifact.scene.ground_truth import BACKGROUNDS
 from paper_artifact.scene.load import EVERY
 from paper_artifact.scene.shapes import SHAPES, make_shape
@@ -203,7 +205,7 @@ def scene(options: Scene) -> int:
         )
         views = len(list((folder / "images").iterdir()))
         what = f"{views} views of at most {config.size} pixels"
-        points = f"{config.points} points ({config.cloud})"
+        points = f"{len(read_model(model_folder(folder)).positions)} points"
     else:
         mesh = make_shape(options.shape or "") if options.mesh is None else load_mesh(Path(options.mesh))
         folder = build_scene(mesh, config, options.out, progress=not options.quiet)

@@ -146,7 +146,7 @@ def solidify(options: Solidify) -> tuple[int, dict]:
             wanted_of(betti)
         if options.scene is None and (options.radius is not None or options.ground is not None):
             raise WrongUsage("--radius and --ground belong to --scene DIR, whose cameras give their unit")
-        if options.scene is not None and Path(options.soup).suffix != ".npz":
+        if options.scene is not None and Path(options.soup).suffix.lower() != ".npz":
             raise WrongUsage("--scene belongs to a trained soup (.npz); a mesh is taken whole")
     check_writable(options.out)
     target = None if options.target is None else find_mesh(options.target)
@@ -183,7 +183,7 @@ def written_text(solid: SoupSolid, certificate: Certificate) -> str:
 def solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...]) -> SoupSolid:
     """Return what the ladder of offsets gives of the soup or the mesh."""
     file = Path(options.soup)
-    if file.suffix == ".npz":
+    if file.suffix.lower() == ".npz":
         soup, frame = load_soup(file), load_frame(file)
         if options.scene is not None:
             soup = _of_the_subject(soup, frame, options)
@@ -194,7 +194,7 @@ def solid_of(options: Solidify, betti: tuple | None, offsets: tuple[float, ...])
         def count(rung: Rung) -> None:
             line.update()
 
-        if file.suffix != ".npz":
+        if file.suffix.lower() != ".npz":
             return solidify_mesh(raw, betti, offsets, options.cells, count)
         return solidify_soup(soup, betti, offsets, options.cells, file.stem, count, frame=frame)
 

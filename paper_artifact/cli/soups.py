@@ -56,7 +56,7 @@ class Evaluate(ReadingOptions):
 
 def evaluate(options: Evaluate) -> tuple[int, dict]:
     """Evaluate and print a table. Returns 0 and what --json writes."""
-    is_soup, file = options.surface.endswith(".npz"), Path(options.surface)
+    is_soup, file = options.surface.lower().endswith(".npz"), Path(options.surface)
     if options.scene is not None and not is_soup:
         raise WrongUsage(
             f"{options.surface} is a mesh without trained colours: leave out --scene, or give a soup (.npz)"

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import decoded, whole
+from paper_artifact.files import WIDE, decoded, whole
 
 Triangles = tuple[np.ndarray, np.ndarray]
 
@@ -43,7 +43,7 @@ def read_obj(data: bytes) -> Triangles:
             points.append(_reals(words[:3]))
         elif keyword in ("f", "fo"):
             if len(words) < 3:
-                raise ValueError(f"cut off at line {number}, a face with {len(words)} corners")
+                raise ValueError(f"line {number} is a face with {len(words)} corners, cut off or none")
             corners += words
             sizes.append(len(words))
             known.append(len(points))
@@ -99,12 +99,11 @@ def read_off(data: bytes) -> Triangles:
 def read_stl(data: bytes) -> Triangles:
     """Return the triangles of an STL file, text or binary; each has its own three points."""
     count = int.from_bytes(data[80:84], "little")
-    named = data.lstrip(b"\xef\xbb\xbf \t\r\n")[:5].lower() == b"solid"
-    text = b"" if len(data) == 84 + 50 * count or b"\0" in data else data
-    if named and (b"facet" in text.lower() or len(data) < 84):
+    text = "" if len(data) == 84 + 50 * count else decoded(data).lower()
+    if "\0" not in text and ("facet" in text or (len(data) < 84 and text.lstrip().startswith("solid"))):
         pattern = r"^\s*(?:((?:end)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
-        found = re.findall(pattern, decoded(text), re.MULTILINE | re.IGNORECASE)
-        words = [word.lower() or "vertex" for word, *_ in found]
+        found = re.findall(pattern, text, re.MULTILINE)
+        words = [word or "vertex" for word, *_ in found]
         facets, vertices = words.count("facet"), [each for word, *each in found if not word]
         if words.count("endsolid") < max(1, words.count("solid")) or words.count("endfacet") != facets:
             raise ValueError("cut off before its 'endsolid'")
@@ -149,6 +148,7 @@ def read_ply(data: bytes) -> Triangles:
 def read_ply_elements(data: bytes) -> dict[str, dict]:
     """Return what a PLY file holds: element → property → (n,) array, or (values, (n,) sizes) of a list.
     Raises ValueError for a damaged file."""
+    data = decoded(data).encode("utf-8", "surrogateescape") if data[:2] in WIDE else data
     end = rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)"
     header = re.match(rb"(?:\xef\xbb\xbf)?\s*ply\s.*?" + end, data, re.DOTALL)
     if header is None:

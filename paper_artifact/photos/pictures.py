@@ -97,7 +97,7 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
             photographs[name] = each
     if len(photographs) < LEAST:
         others = sorted({each.suffix.lower() for each in files} - {*ENDINGS, ""})
-        seen = f" (it also has {', '.join(others)}: convert them to JPEG)" if others else ""
+        seen = f" (it also has {', '.join(others)}; convert what is a picture to JPEG)" if others else ""
         seen += "".join(f" ({each})" for each in unread(folder) if each.startswith("left out"))
         raise InputError(
             f"{folder} has {len(photographs)} photographs of the kinds {' '.join(ENDINGS)}{seen}; "

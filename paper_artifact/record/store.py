@@ -204,11 +204,11 @@ def read_record(path: Path | str) -> dict:
 
 def check_unedited(path: Path) -> None:
     """Raise InputError where the record at `path`, or its soup (from 0.3.0 on), was changed since it was
-    written: a run made again would replace it. What is not there, or damaged, may be replaced."""
+    written, cut off by an editor too: a run made again would replace it."""
     from paper_artifact.soup.state import load_soup  # with torch: only where a run is made again
 
     soup = path.parent.parent / "soups" / f"{path.stem}.npz"
-    for file, read, sign in ((path, read_record, "was changed"), (soup, load_soup, "is not the soup of")):
+    for file, read, sign in ((path, read_record, "delete it"), (soup, load_soup, "is not the soup of")):
         try:
             if file.is_file():
                 read(file)

@@ -226,7 +226,8 @@ def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
         raise ValueError(f"image '{name}' has no valid pose")
     if math.hypot(*numbers[:4]) < SHORTEST:
         raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
-    if any(part in ("", ".", "..") for part in name.replace("\\", "/").split("/")):
+    # An absolute name, of another machine, is looked for by its last parts.
+    if any(part in ("", ".", "..") for part in name.replace("\\", "/").removeprefix("/").split("/")):
         raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
     w, x, y, z, across, down, ahead = map(float, numbers)
     return Pose(name, int(camera), (w, x, y, z), (across, down, ahead))

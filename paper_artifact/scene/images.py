@@ -15,10 +15,12 @@ from PIL import Image, ImageChops, UnidentifiedImageError
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside
 
+COLOURS = ("RGB", "RGBA", "P", "PA", "CMYK", "YCbCr")
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
 BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
-LIGHT = 128  # of 255: a mask's white is at least this
+LIGHT = 240  # of 255: a mask's white is at least this
+COLOURED = 60  # of 255: what a grey pixel's channels differ by at most, a JPEG's too
 MOST_PIXELS = 2**27  # of one image: 134 million
 
 
@@ -160,8 +162,10 @@ def has_transparency(picture: Image.Image) -> bool:
 
 def as_mask(picture: Image.Image, file: Path) -> Image.Image:
     """Return a mask (type L): white where the photograph counts, black where it does not or where the mask is
-    transparent, grey in between. Raises InputError for one without a light pixel that is not black either, as
-    masks of the values 0 and 1 are."""
+    transparent, grey in between. Raises InputError for a coloured one, and for one that is neither black nor
+    has white, as masks of the values 0 and 1."""
+    if picture.mode in COLOURS and np.ptp(np.asarray(picture.convert("RGB")), axis=2).max() > COLOURED:
+        raise InputError(f"the mask {file} is coloured; save white where the photograph counts")
     kept = picture.convert("L")
     if has_transparency(picture):
         kept = ImageChops.multiply(kept, picture.convert("RGBA").getchannel("A"))

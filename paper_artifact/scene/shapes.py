@@ -36,8 +36,10 @@ def make_shape(name: str) -> Mesh:
 
     Raises InputError for an unknown name.
     """
-    if name not in SHAPES:
-        raise InputError(f"unknown shape '{name}'; choose one of {', '.join(SHAPES)}, or give a mesh file")
+    if not isinstance(name, str) or name not in SHAPES:
+        raise InputError(
+            f"unknown shape {name!r:.40}; choose one of {', '.join(SHAPES)}, or give a mesh file"
+        )
     return SHAPES[name]()
 
 

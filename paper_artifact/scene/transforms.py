@@ -48,7 +48,7 @@ OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distor
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
 SHORTEST, LONGEST = 0.01, 1e4  # focal lengths of real cameras, in widths of the image
-RIGHT_ANGLED = 0.1  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
+RIGHT_ANGLED = 0.9  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
 
 
 @dataclass(frozen=True)
@@ -202,10 +202,9 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     """Return a frame, its image at `path`; `matrix`: camera → world, `own`: its keys, `root`: the file's."""
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
-    if matrix.shape != (4, 4) or not np.abs(matrix).max() < FARTHEST:
-        raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
-    axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30)
-    if arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
+    square = matrix.shape == (4, 4) and np.abs(matrix).max() < FARTHEST
+    axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30) if square else matrix
+    if not square or arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
     if not np.abs(matrix[3] - (0, 0, 0, 1)).max() < 1e-6:
         raise InputError(
@@ -235,9 +234,9 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
     for key, value in values.items():
         if not np.isfinite(value) or isinstance(both[key], bool) or (key in ("w", "h") and value <= 0):
             raise InputError(f"{file}: {key} of {name} is {both[key]}, which cannot be; export it again")
-    across = width / values["w"] if values.get("w") else 1.0
-    down = height / values["h"] if values.get("h") else across
-    if values.get("w") and values.get("h") and abs(down / across - 1) > max(0.01, 2 / min(width, height)):
+    stated = [side / values[key] for side, key in ((width, "w"), (height, "h")) if key in values]
+    across, down = (stated or [1.0])[0], (stated or [1.0])[-1]
+    if abs(down / across - 1) > max(0.01, 2 / min(width, height)):
         raise InputError(
             f"{file}: {name} has {width}×{height} pixels, and its w and h are {values['w']:g} and "
             f"{values['h']:g}, another aspect; give the images that the cameras are of"
@@ -272,7 +271,11 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
             f"{file}: focal lengths {focal[0]:.4g}, {focal[1]:.4g} and centre {centre[0]:.4g}, "
             f"{centre[1]:.4g} are none of a camera of {width} pixels; export it again"
         )
-    if "w" not in values and not (0 <= centre[0] <= width and 0 <= centre[1] <= height):
+    if "cx" in values and "cy" in values and 0 < max(values["cx"], values["cy"]) <= 1:
+        raise InputError(
+            f"{file}: cx, cy of {name} are {values['cx']:g}, {values['cy']:g}; give them in pixels"
+        )
+    if not stated and not (0 <= centre[0] <= width and 0 <= centre[1] <= height):
         raise InputError(
             f"{file}: the centre cx, cy of {name} lies outside of its {width}×{height} pixels; add w and h, "
             "the size that it is for"

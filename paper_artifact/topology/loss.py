@@ -199,8 +199,8 @@ class BettiLoss(PlannedLoss):
         seed: int = 0,
         **settings: Any,
     ) -> None:
-        if preset not in PRESETS:
-            raise InputError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+        if not isinstance(preset, str) or preset not in PRESETS:
+            raise InputError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r:.60}")
         stated = {"betti": () if betti is None else betti}  # None is refused, as any other than three numbers
         super().__init__(LossConfig("betti"), stated | PRESETS[preset] | settings, seed)
         if self.config.aim == "cloud":
