@@ -50,7 +50,7 @@ NAN_STL = BINARY_STL[:96] + np.array([np.nan], "<f4").tobytes() + BINARY_STL[100
 REFUSED: dict[str, tuple[bytes, str]] = {
     **{f"empty.{kind}": (b"", f"empty.{kind}") for kind in ("obj", "ply", "stl", "off", "glb")},
     **{f"noise.{kind}": (NOISE, f"noise.{kind}") for kind in ("obj", "ply", "stl", "off", "glb")},
-    "cut_in_a_face.obj": (TETRAHEDRON.encode() + b"f 2 3", "cut off"),
+    "cut_in_a_face.obj": (TETRAHEDRON.encode() + b"f 2 3", "a face with 2 corners"),
     "cut_binary.ply": (half(BINARY_PLY), "cut_binary"),
     "cut_binary.stl": (half(BINARY_STL), "cut_binary"),
     "cut.off": (half(OFF), "cut off"),

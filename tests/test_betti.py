@@ -180,6 +180,8 @@ def test_points_that_no_loss_can_be_had_of_are_refused():
             BettiLoss((1, 1, 0), **{setting: 1})
     with pytest.raises(InputError, match="preset must be one of points, soup, got 'bare'"):
         BettiLoss((1, 1, 0), "bare")
+    with pytest.raises(InputError, match="preset must be one of points, soup, got"):
+        BettiLoss((1, 1, 0), [])
     with pytest.raises(InputError, match="needs a torch tensor, got ndarray"):
         BettiLoss((1, 1, 0))(flat)
     with pytest.raises(InputError, match=r"shape \(M, 3\), got torch.float64 \(50, 2\)"):

@@ -389,13 +389,11 @@ def test_a_file_of_the_scene_that_is_read_is_not_replaced(folder, capsys):
         Path("scene", name).write_text("precious")
         assert cli.main([*words, f"scene/{name}"]) == 2
         assert "is a file of --scene scene" in capsys.readouterr().err
-    for name in ("cameras.bin", "images.bin"):
-        Path("scene/sparse", name).touch()
     Path("scene/images").mkdir()
-    Path("scene/images/a.png").write_text("precious")
+    for name in ("sparse/cameras.bin", "images/a.png"):
+        Path("scene", name).write_text("precious")
     for place in ("scene/sparse", "scene/images"):
-        words[words.index("--scene") + 1] = place
-        assert cli.main([*words, "scene/images/a.png"]) == 2
+        assert cli.main([*words[:-2], place, "--json", "scene/images/a.png"]) == 2
         assert f"is a file of --scene {place}" in capsys.readouterr().err
     Path("a.gltf").write_text('{"buffers": [{"uri": "a%20\\u00e9.bin"}]}')
     Path("a é.bin").write_text("precious")

@@ -255,7 +255,7 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
     for name in ("masks", "dense/images"):
         noise(folder / name, 4)
     assert "left out as copies or masks: dense, masks; give such a folder by itself" in refused()
-    assert "has 2 photographs" in refused() and "it also has .heic: convert" in refused()
+    assert "has 2 photographs" in refused() and "it also has .heic; convert" in refused()
     assert "--size must be from 64" in refused("--size", "9")
     for name in ("one.png", "one.bmp"):
         Image.new("RGB", (64, 48)).save(folder / name)

@@ -57,19 +57,17 @@ def test_what_is_no_video_is_refused(video, tmp_path, capsys):
         assert main(words) == 1
         assert "convert it to MP4" in capsys.readouterr().err
         assert not (tmp_path / "scene").exists()
-    with (
-        av.open(tmp_path / "short.mp4", "w", options={"movflags": "faststart"}) as out,
-        av.open(video) as whole,
-    ):
-        copied = out.add_stream_from_template(whole.streams.video[0])
-        for packet in whole.demux(whole.streams.video[0]):
-            if packet.dts is not None:
-                packet.stream = copied
-                out.mux(packet)
-    data = (tmp_path / "short.mp4").read_bytes()
-    (tmp_path / "short.mp4").write_bytes(data[: len(data) * 2 // 3])
-    assert main(["photos", str(tmp_path / "short.mp4"), "--out", str(tmp_path / "scene"), "--quiet"]) == 1
-    assert "is cut off: it says 24 frames" in capsys.readouterr().err
+    for short in (tmp_path / "short.mp4", tmp_path / "short.mkv"):  # the second declares no frames
+        with av.open(short, "w", options={"movflags": "faststart"}) as out, av.open(video) as whole:
+            copied = out.add_stream_from_template(whole.streams.video[0])
+            for packet in whole.demux(whole.streams.video[0]):
+                if packet.dts is not None:
+                    packet.stream = copied
+                    out.mux(packet)
+        video_frames(short, EVERY, tmp_path / short.suffix, False)
+        short.write_bytes(short.read_bytes()[: short.stat().st_size * 2 // 3])
+        assert main(["photos", str(short), "--out", str(tmp_path / "scene"), "--quiet"]) == 1
+        assert "is cut off: it says 24 frames" in capsys.readouterr().err
     assert main(["photos", str(MUG / "photographs"), "--out", str(tmp_path / "scene"), "--every", "2"]) == 1
     assert "--every belongs to a video" in capsys.readouterr().err
 

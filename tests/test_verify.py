@@ -51,6 +51,8 @@ def test_train_verify(tmp_path, capsys):
     assert main([*command, "--verify"]) == 1
     assert capsys.readouterr().out == f"{path.name}: step 40: loss is {value!r}, and 0.5 in the record\n"
     assert main([*command, "--verify", "--again"]) == 2
+    path.write_text("{")  # edited, and cut off
+    assert main([*command, "--again"]) == 1 and path.read_text() == "{"
 
 
 @pytest.mark.parametrize(

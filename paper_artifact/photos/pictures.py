@@ -24,9 +24,9 @@ from paper_artifact.errors import InputError
 from paper_artifact.scene.folder import DESCRIPTION
 from paper_artifact.scene.images import has_transparency, is_blank, opened, sizes_told
 
-VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".mpg", ".mpeg", ".wmv")
 FRAMES = 60  # of a video that are taken about, unless it is said how many
-COMPLETE = 0.95  # of the frames that a video declares; some end a few short
+COMPLETE = 0.95  # of the frames, or the length, that a video declares; some end a few short
 SHARPNESS_WIDTH = 320  # pixels of the frames that sharpness is compared on
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
@@ -167,12 +167,13 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
             stream.thread_type = "AUTO"
             total = stream.frames or int(float((container.duration or 0) / 1e6 * (stream.average_rate or 0)))
             every = every or max(1, total // FRAMES)
-            best, taken, seen = -1.0, None, 0
+            best, taken, seen, time = -1.0, None, 0, 0.0
             for seen, frame in enumerate(
                 tqdm(container.decode(stream), "frames", total or None, unit="frame", disable=not progress), 1
             ):
                 height = max(8, SHARPNESS_WIDTH * frame.height // frame.width)
                 grey = frame.reformat(SHARPNESS_WIDTH, height, "gray").to_ndarray().astype(np.float64)
+                time = frame.time or time
                 if (sharp := float(laplace(grey).var())) > best:
                     best, taken = sharp, frame
                 if seen % every == 0 and taken is not None:
@@ -180,10 +181,9 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
                     best, taken = -1.0, None
             if taken is not None and seen % every > every // 2:
                 _write_frame(taken, folder, seen)
-            if seen < COMPLETE * stream.frames:
-                raise InputError(
-                    f"{video} is cut off: it says {stream.frames} frames and has {seen}; copy it again"
-                )
+            length = (container.duration or 0) / 1e6
+            if seen < COMPLETE * stream.frames or (not stream.frames and time < COMPLETE * length):
+                raise InputError(f"{video} is cut off: it says {total} frames and has {seen}; copy it again")
     except (av.FFmpegError, OSError, ValueError) as error:
         if isinstance(error, OSError) and not isinstance(error, av.FFmpegError):
             raise
@@ -194,7 +194,8 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
     if written < LEAST:
         raise InputError(
             f"one of every {every} frames of {video} gives {written}, at least {LEAST} are needed and 20 to "
-            f"100 are good: it has {seen} frames; give a smaller --every"
+            f"100 are good: it has {seen} frames; give "
+            + ("a smaller --every" if every > 1 else "a longer video")
         )
     return every
 
