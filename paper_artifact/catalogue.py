@@ -7,8 +7,7 @@ for the study that runs it.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -35,14 +34,10 @@ class Shape:
     group: str
     # the judged dimension: whose bottleneck is the tail (Tables 1, 2, S2, S10), a decision of the paper's
     judged: int
-    features: tuple[
-        int, int, int
-    ]  # finite classes (H0, H1, H2) that a dense sample shows; genera are certified
+    features: tuple[int, int, int]  # finite classes (H0, H1, H2) of a dense sample; genera are certified
     budget: int = 1200  # N, triangles
     samples: int = 2048  # M of bundle and loss
-    dimensions: tuple[int, ...] | None = (
-        None  # where the loss acts; None: every dimension with a significant bar
-    )
+    dimensions: tuple[int, ...] | None = None  # where the loss acts; None: all with a significant bar
     bundle_seed: int = 0
     view: Axis = (0.8, -1.1, 0.6)  # of its pictures: from the object towards the camera, world axes
     up: Axis = (0.0, 0.0, 1.0)  # upwards in its pictures, world axes
@@ -153,8 +148,8 @@ BASELINE, LOSS, CONTROLS = "C0", "C1", ("C2", "C2g")  # the arms that the verdic
 
 
 def shape_row(name: str) -> Shape | None:
-    """Return the row of a shape of the study, None for any other mesh. Raises InputError as `check` does."""
-    return check(SHAPES, "shape").get(name)
+    """Return the row of a shape of the study, None for any other mesh."""
+    return next((row for row in SHAPES if row.name == name), None)
 
 
 def shapes_of(*groups: str) -> tuple[str, ...]:
@@ -163,8 +158,8 @@ def shapes_of(*groups: str) -> tuple[str, ...]:
 
 
 def get_condition(name: str) -> Condition:
-    """Return the row of that tag. Raises InputError for an unknown one, and as `check` does."""
-    rows = check(CONDITIONS, "condition")
+    """Return the row of that tag. Raises InputError for an unknown one."""
+    rows = {row.name: row for row in CONDITIONS}
     if name not in rows:
         raise InputError(f"unknown condition {name!r}; choose one of {', '.join(rows)}")
     return rows[name]
@@ -232,21 +227,3 @@ def _of_shape(row: Shape | None, part: LossConfig | AllocationConfig) -> dict[st
         return {"samples": row.samples, "betti": (row.features[0] + 1, *row.features[1:])}
     shared = {field.name for field in fields(part)} & {"samples", "dimensions", "bundle_seed"}
     return {name: getattr(row, name) for name in shared}
-
-
-def check(rows: Sequence[Any], word: str) -> dict[str, Any]:
-    """Return {name: row}. Raises InputError, naming the row, for a duplicate name or a dimension that does
-    not exist."""
-    twice = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
-    if twice:
-        raise InputError(
-            f"the catalogue has the {word} {twice[0]!r} twice; keep one row in paper_artifact/catalogue.py"
-        )
-    for row in rows:
-        dimensions = (row.judged, *(row.dimensions or ())) if isinstance(row, Shape) else ()
-        if not set(dimensions) <= {0, 1, 2}:
-            raise InputError(
-                f"the catalogue's {word} {row.name!r} names the dimensions {dimensions}; "
-                "a surface in space has 0, 1 and 2"
-            )
-    return {row.name: row for row in rows}

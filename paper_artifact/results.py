@@ -50,6 +50,7 @@ REFRESH = (
     *("run", "step", "samples", "floor", "live_floor", "dimension", "significant", "matched", "recruited"),
     *("unreached", "diagonal", "gabriel_failures", "wanted", "surplus", "residual", "margins"),
 )
+_study_config = cache(study_config)
 Frames = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame]
 
 
@@ -301,18 +302,13 @@ def _start_of(config: Mapping[str, Any], starts: Mapping) -> dict[str, float] | 
     seed do."""
     if shape_row(config["shape"]) is None:
         return None
-    usual = _usual(config["shape"])
+    usual = _study_config(config["shape"])
     allocation = config.get("allocation") or {}
     noisy = any(config.get(name) for name in ("cloud_noise", "cloud_outliers", "cloud_missing"))
     other = any(config[name] != getattr(usual, name) for name in ("budget", "initial_ratio"))
     if other or config.get("given") or noisy or allocation.get("levers") == "start":
         return None
     return starts.get((config["shape"], config["seed"]))
-
-
-@cache
-def _usual(shape: str) -> Any:
-    return study_config(shape)
 
 
 def _study_rows(recorded: set[str], folder: Path) -> Iterator[dict[str, Any]]:

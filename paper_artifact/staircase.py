@@ -16,7 +16,7 @@ import pandas as pd
 from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import KEPT, longest, measure
-from paper_artifact.mesh import Mesh
+from paper_artifact.mesh import FEATURES, Mesh
 from paper_artifact.results import published
 from paper_artifact.sampling import face_areas
 from paper_artifact.scene.shapes import surface
@@ -25,7 +25,6 @@ from paper_artifact.topology.floor import MULTIPLIER, uniform_spacing
 KEYS = ["shape", "samples", "seed"]
 DENSITIES = (2048, 4096, 8192, 20_000)  # of Tables S5, S9 and S11; the last is the evaluation's
 SEEDS = range(5)  # sampling seeds
-BAR_NAMES = ("component", "loop", "void")  # by dimension
 
 
 def staircase(mesh: Mesh, densities: Iterable[int], seeds: Iterable[int], kept: int = KEPT) -> pd.DataFrame:
@@ -78,7 +77,7 @@ def bars(table: pd.DataFrame) -> pd.DataFrame:
 
 def bar_name(dimension: int, rank: int) -> str:
     """Return "loop 2" for (1, 2)."""
-    return f"{BAR_NAMES[dimension]} {rank}"
+    return f"{FEATURES[dimension][0]} {rank}"
 
 
 def counts(table: pd.DataFrame, dimension: int) -> pd.Series:
@@ -126,10 +125,10 @@ def beside_published(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     return both.loc[rows].rename(columns="M = {}".format).rename_axis([None, None]).rename_axis(columns=None)
 
 
-def agreement(table: pd.DataFrame, other: pd.DataFrame) -> tuple[int, float]:
+def agreement(stored: pd.DataFrame, again: pd.DataFrame) -> tuple[int, float]:
     """Return (rows in both staircases, largest difference of floors and lifetimes in units of the floor, NaN
     without any)."""
-    left, right = (each.set_index(KEYS).sort_index() for each in (table, other))
+    left, right = (each.set_index(KEYS).sort_index() for each in (stored, again))
     common = left.index.intersection(right.index)
     left, right = left.loc[common], right.loc[common][left.columns]
     return len(common), float((left.sub(right).abs().max(axis=1) / left["floor"]).max())
@@ -138,10 +137,8 @@ def agreement(table: pd.DataFrame, other: pd.DataFrame) -> tuple[int, float]:
 def agreement_text(stored: pd.DataFrame, again: pd.DataFrame) -> str:
     """Return how many rows of a stored staircase were measured again, and whether all agree."""
     rows, difference = agreement(stored, again)
-    return (
-        f"{rows} of {len(stored)} stored lines measured again; "
-        f"all agree to 0.0001 of the floor: {difference < 1e-4}"
-    )
+    agree = f"all agree to 0.0001 of the floor: {difference < 1e-4}"
+    return f"{rows} of {len(stored)} stored lines measured again; {agree}"
 
 
 def _agreeing(values: pd.Series) -> str:

@@ -119,8 +119,6 @@ OTHERS = [
     ("sweep table1 --seed 99 --list", "has no seed 99; choose among 0"),
     ("sweep table1 --executor dask --list", "belong together; give both or neither"),
     ("certify sphere --out a.ply", "--out has a meaning with --fill or --cut alone"),
-    ("certify sphere --strict", "--strict has a meaning with --candidates alone"),
-    ("certify --candidates --where a.html", "--where has a meaning with a mesh alone"),
     ("export none.npz --out out", "no soup at"),
     ("export text.npz --out out", "not a readable soup"),
     ("evaluate none.npz --target sphere", "no file at"),

@@ -299,7 +299,7 @@ def test_tab_completion_proposes_verbs_options_and_names(tmp_path):
         return {each.strip() for each in (tmp_path / "out").read_text().split("\n")}
 
     assert {"certify", "ingest"} <= proposed("paper-artifact ")
-    assert proposed("paper-artifact certify --c") >= {"--closed", "--candidates"}
+    assert proposed("paper-artifact certify --c") >= {"--closed", "--cut"}
     assert "two_spheres" in proposed("paper-artifact train two_")
 
 

@@ -25,14 +25,14 @@ from paper_artifact.errors import InputError
 from paper_artifact.export.flat import write_png
 from paper_artifact.files import REPOSITORY
 from paper_artifact.pipeline import run
-from paper_artifact.record.store import find_records, make_record, write_record
+from paper_artifact.record.store import make_record, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.state import TrainState, write_checkpoint
-from tests.tiny_run import tiny_arguments, tiny_config
+from tests.tiny_run import find_records, tiny_arguments, tiny_config
 
 pytestmark = pytest.mark.faults
 

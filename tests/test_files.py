@@ -19,11 +19,11 @@ from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, check_writable, renewed_folder, write_text
 from paper_artifact.notebooks import figures_of
-from paper_artifact.record.store import find_records
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.topology.bundle import load_bundle
+from tests.tiny_run import find_records
 
 pytestmark = pytest.mark.faults
 

@@ -20,7 +20,7 @@ from paper_artifact.config import GivenConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
 from paper_artifact.pipeline import remarks, results_of, run
-from paper_artifact.record.store import find_records, recorded_path
+from paper_artifact.record.store import recorded_path
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
 from paper_artifact.scene.given import resolve
@@ -28,6 +28,7 @@ from paper_artifact.scene.load import held_out, load_scene
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.study.studies import STUDIES, Block
 from paper_artifact.topology.bundle import build_from_mesh
+from tests.tiny_run import find_records
 
 SMALL = [
     "--steps=24",

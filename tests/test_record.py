@@ -15,7 +15,6 @@ from paper_artifact.errors import InputError
 from paper_artifact.record.store import (
     config_hash,
     config_of,
-    find_records,
     make_record,
     pack,
     read_record,
@@ -58,17 +57,6 @@ def test_round_trip(tmp_path):
 def test_names_tell_runs_apart():
     assert config_hash(replace(CONFIG, vertex_lr=0.0100001)) != config_hash(CONFIG)
     assert record_path(replace(CONFIG, shape="meshes/my shape.obj")).name.startswith("my_shape.obj-C1-s3-")
-
-
-def test_find_records_by_config(tmp_path):
-    for seed in range(3):
-        for condition in ("C0", "C1"):
-            write_record(example(replace(CONFIG, seed=seed, condition=condition)), tmp_path)
-    assert len(find_records(tmp_path)) == 6
-    found = [record["config"] for record in find_records(tmp_path, condition="C1", seed=(0, 2))]
-    assert [(each["condition"], each["seed"]) for each in found] == [("C1", 0), ("C1", 2)]
-    assert find_records(tmp_path, budget=700, shape="sphere") == []
-    assert find_records(tmp_path / "nothing") == []
 
 
 def refresh(step: int) -> dict:
@@ -146,8 +134,6 @@ def test_changed_records_are_refused(tmp_path, change, reason):
     with pytest.raises(InputError, match=reason) as caught:
         read_record(path)
     assert str(path) in str(caught.value)
-    with pytest.raises(InputError):
-        find_records(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +164,5 @@ def test_misnamed_and_missing_files_are_refused(tmp_path):
 def test_make_record_refuses_what_it_cannot_hold():
     with pytest.raises(InputError, match="cannot hold a set"):
         example(topology={1, 2})
-    with pytest.raises(InputError, match="different lengths"):
-        make_record(CONFIG, [], {}, {}, losses={"step": [1, 2], "total": [1.0]})
     with pytest.raises(InputError, match="must not start"):
         example(topology={"#same": 1})

@@ -21,13 +21,14 @@ from paper_artifact import cli
 from paper_artifact.config import config_from, config_values
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
-from paper_artifact.record.store import find_records, record_path
+from paper_artifact.record.store import record_path
 from paper_artifact.scene.shapes import SHAPES
 from paper_artifact.study import studies
 from paper_artifact.study import sweep as sweep_module
 from paper_artifact.study.studies import STUDIES, study_configs
 from paper_artifact.study.sweep import Estimate, Outcome, Step, missing, run_all, sweep
 from tests.sweep_runs import CONFIGS, blocked_run, results_with_scene, same_run, wait_for_end
+from tests.tiny_run import find_records
 
 # --- the tables
 

@@ -14,11 +14,11 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.cli.runs import audited, closing_notes
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_term
-from paper_artifact.record.store import find_records, read_record, recorded_path
+from paper_artifact.record.store import read_record, recorded_path
 from paper_artifact.scene.load import load_scene
 from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.loop import train
-from tests.tiny_run import tiny_arguments, tiny_config
+from tests.tiny_run import find_records, tiny_arguments, tiny_config
 
 WORDS = ["--condition=T1", "--loss=samples=2048", "--betti=1,0,1"]
 

@@ -16,13 +16,12 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.pipeline import run
 from paper_artifact.randomness import stream
-from paper_artifact.record.store import find_records
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import backend_for
 from paper_artifact.train.loop import train
 from paper_artifact.train.state import SEAL, resumed_state
 from tests.sweep_runs import same_run
-from tests.tiny_run import STEPS, tiny_arguments, tiny_config
+from tests.tiny_run import STEPS, find_records, tiny_arguments, tiny_config
 
 # Kills its own process without warning, either between two steps or in the middle of writing a checkpoint.
 KILLED = """

@@ -3,10 +3,12 @@ a second)."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import RunConfig
+from paper_artifact.record.store import read_record
 
 STEPS = 60
 TINY = {
@@ -36,3 +38,9 @@ def tiny_arguments() -> list[str]:
     """Return the command-line arguments of `tiny_config()` for the verb train."""
     changes = [f"--set={name}={value}".replace(" ", "") for name, value in TINY.items() if name != "steps"]
     return ["train", "sphere", "--quiet", "--device=cpu", f"--steps={STEPS}", *changes]
+
+
+def find_records(folder: Path, **wanted: Any) -> list[dict]:
+    """Return the records in `folder`, by file name, whose config has these values."""
+    records = [read_record(path) for path in sorted(folder.glob("[!.]*.json"))]
+    return [each for each in records if wanted.items() <= each["config"].items()]

@@ -14,12 +14,12 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import mesh_triangles, soup_triangles
 from paper_artifact.export.viewer import shape_viewpoint, write_html
+from paper_artifact.mesh import FEATURES
 from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import load_soup
 
 SEED = 0  # whose soups are committed
 MOST = 40_000  # triangles of a ground truth in a page
-DIMENSIONS = ("components", "loops", "voids")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def write_views(tables: results.Results, runs: pd.DataFrame, folder: Path) -> li
         except InputError as error:
             note = f"The ground truth is not shown: {error}."
         for run in kept.itertuples():
-            name = f"{run.condition}, {run.count:.0f} of {run.expected:.0f} {DIMENSIONS[run.dimension]}"
+            name = f"{run.condition}, {run.count:.0f} of {run.expected:.0f} {FEATURES[run.dimension][1]}"
             parts[name] = soup_triangles(load_soup(tables.soup_path(run.run)))
             lines.append(f"{name}, tail {run.tail:.4f}")
         missing = sorted(set(own["condition"]) - set(kept["condition"]))

@@ -45,8 +45,6 @@ class Certify(Options):
     mesh: {MESH}
     json FILE: also write the whole certificate as JSON (-: to stdout)
     closed: fail a surface with boundary (disk, annulus …) for its open edges, not pass it as one
-    strict: with --candidates: exit code 1 where one disagrees with the paper
-    candidates: instead of one mesh: the paper's eleven candidates, ours beside its table
     where FILE: of a closed mesh: mark each handle, hole (tunnel) and void in this .html (3-D view) or .ply,
         with a shortest loop, and list them
     fill N: fill the N-th hole of that list, write --out and certify it
@@ -54,11 +52,9 @@ class Certify(Options):
     out MESH: where --fill or --cut writes, .ply, .obj or .stl (default: NAME_filled.ply or NAME_cut.ply)
     """
 
-    mesh: Positional[Source | None] = None
+    mesh: Positional[Source]
     json: Path | None = None
     closed: bool = False
-    strict: bool = False
-    candidates: bool = False
     where: Path | None = None
     fill: Annotated[int | None, 1] = None
     cut: Annotated[int | None, 1] = None
@@ -68,30 +64,15 @@ class Certify(Options):
 def certify(options: Certify) -> tuple[int, Any]:
     """Print the certificate. Returns 0, or 1 when it fails, and what --json writes."""
     from paper_artifact.certify.certificate import certificate_text, certify_mesh
-    from paper_artifact.study.dispositions import dispositions
 
-    if options.candidates == (options.mesh is not None):
-        raise WrongUsage("name one mesh to certify, or give --candidates for the paper's table")
     if options.where is not None and options.where.suffix not in (".html", ".ply"):
         raise WrongUsage(f"--where writes .html or .ply, got {options.where}")
     if options.fill is not None and options.cut is not None:
         raise WrongUsage("give --fill or --cut, one at a time: the other's numbers change with it")
     if options.fill or options.cut:
         _mended(options)
-    wanted = {"out": not (options.fill or options.cut), "strict": not options.candidates}
-    wanted |= dict.fromkeys(("where", "fill", "cut", "closed"), options.candidates)
-    if lost := [name for name, without in wanted.items() if without and getattr(options, name)]:
-        asks = {"out": "--fill or --cut", "strict": "--candidates"}.get(lost[0], "a mesh")
-        raise WrongUsage(f"--{lost[0]} has a meaning with {asks} alone")
-    if options.mesh is None:
-        rows = dispositions()
-        print(f"{'candidate':<13}{'paper':<23}{'decision':<12}{'Betti':<13}{'agrees':<8}measured")
-        for row in rows:
-            betti = str(row.certificate.betti) if row.certificate else "-"
-            agrees = {True: "yes", False: "NO", None: "-"}[row.agrees]
-            print(f"{row.key:<13}{row.published:<23}{row.decision:<12}{betti:<13}{agrees:<8}{row.measured}")
-        found = {row.key: row.certificate.to_json() if row.certificate else row.measured for row in rows}
-        return int(options.strict and any(row.agrees is False for row in rows)), found
+    if options.out is not None and not (options.fill or options.cut):
+        raise WrongUsage("--out has a meaning with --fill or --cut alone")
     with stage_bar(options.mesh, options.quiet) as stage:
         stage("reading")
         mesh = find_mesh(options.mesh, welded=False)
@@ -106,12 +87,10 @@ def certify(options: Certify) -> tuple[int, Any]:
                 f"python -m paper_artifact ingest {quoted(options.mesh)} --out {quoted(shell)}"
             )
         found |= _where(options, mesh, certificate.genus or 0)
-    if options.fill or options.cut:
-        pass  # the next command is of what was written
-    elif certificate.passed:
-        print(next_command("audit", options.mesh))
-    else:
+    if not certificate.passed:
         print(next_command("ingest", options.mesh, "--out", shell))
+    elif not (options.fill or options.cut):  # then the next command is of what was written
+        print(next_command("audit", options.mesh))
     return int(not certificate.passed), found
 
 
@@ -120,7 +99,7 @@ def _mended(options: Certify) -> Path:
     name was not given and there is such a file."""
     from paper_artifact.ingest.solidify import check_format
 
-    name = cut_name(Path(str(options.mesh)).stem)
+    name = cut_name(Path(options.mesh).stem)
     out = options.out or Path(f"{name}_{'filled' if options.fill else 'cut'}.ply")
     check_format(out)
     if options.out is None and out.exists():

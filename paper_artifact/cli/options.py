@@ -29,7 +29,7 @@ import types
 import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from os.path import realpath
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NewType, TypeVar
@@ -76,17 +76,18 @@ class Options:
     quiet: bool = False
 
 
-class _Type:
-    """A field's type, taken apart."""
+class _Option:
+    """A field of a dataclass of options, its type and its text taken apart."""
 
-    def __init__(self, hint: Any) -> None:
+    def __init__(self, field: Field, hint: Any, text: tuple[str, str | None, str]) -> None:
+        self.name = field.name
         self.limits: tuple = ()  # least, and largest value
         self.choices: Sequence | None = None
-        self.positional = False
+        positional = False
         while typing.get_origin(hint) in (Annotated, types.UnionType, typing.Union):
             if typing.get_origin(hint) is Annotated:
                 hint, *more = typing.get_args(hint)
-                self.positional |= POSITIONAL in more
+                positional |= POSITIONAL in more
                 self.choices = next((each for each in more if isinstance(each, (tuple, list))), None)
                 numbers = [each for each in more if isinstance(each, (int, float))]
                 self.limits = (*numbers, math.inf)[:2] if numbers else self.limits
@@ -94,33 +95,38 @@ class _Type:
                 hint = next(each for each in typing.get_args(hint) if each is not type(None))
         self.container = typing.get_origin(hint) if typing.get_origin(hint) in (list, tuple) else None
         self.item: Any = typing.get_args(hint)[0] if self.container else hint
+        name, self.metavar, self.text = text
+        self.flag = "" if positional else f"--{name}"
+        self.required = field.default is MISSING and field.default_factory is MISSING
+        self.default = [] if self.container is list else None if self.required else field.default
+
+
+def _declared(kind: type[Options]) -> list[_Option]:
+    hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
+    return [_Option(each, hints[each.name], texts[each.name]) for each in fields(kind)]
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     """Declare an option of `parser` for each field of the dataclass `kind`."""
-    hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
-    for each in fields(kind):
-        about, (name, metavar, text) = _Type(hints[each.name]), texts[each.name]
-        default = None if each.default is MISSING else each.default
-        required = each.default is MISSING and each.default_factory is MISSING
-        if "(default" not in text and default not in (None, False, ()):
-            text += f" (default: {_shown(default)})"
+    for each in _declared(kind):
+        told = each.default and "(default" not in each.text
+        text = f"{each.text} (default: {shown(each.default)})" if told else each.text
         settings: dict[str, Any] = {"help": text.replace("%", "%%")}
-        if about.item is bool:
+        if each.item is bool:
             settings |= {"action": "store_true"}
         else:
-            settings |= {"type": str if about.item is Source else about.item, "metavar": metavar}
-            settings |= {"default": default, "choices": about.choices}
-        if about.container is list:
-            settings |= {"action": "append", "default": []}
-        if about.positional:
-            settings["nargs"] = "*" if about.container else None if required else "?"
+            settings |= {"type": str if each.item is Source else each.item, "metavar": each.metavar}
+            settings |= {"default": each.default, "choices": each.choices}
+        if each.container is list:
+            settings |= {"action": "append"}
+        if not each.flag:
+            settings["nargs"] = "*" if each.container else None if each.required else "?"
             action = parser.add_argument(each.name, **settings)
         else:
-            settings |= {"nargs": "+"} if about.container is tuple else {}
-            settings |= {"required": required} if about.item is not bool else {}
-            action = parser.add_argument(f"--{name}", dest=each.name, **settings)
-        if about.item in (str, Source):
+            settings |= {"nargs": "+"} if each.container is tuple else {}
+            settings |= {"required": each.required} if each.item is not bool else {}
+            action = parser.add_argument(each.flag, dest=each.name, **settings)
+        if each.item in (str, Source):
             action.completer = _proposals  # type: ignore[attr-defined]
 
 
@@ -129,19 +135,17 @@ def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
     that no file can have, and an output in the place of an input."""
     values: dict[str, Any] = {}
     named: list[tuple[str, Any, Path]] = []
-    hints, texts = typing.get_type_hints(kind, include_extras=True), _texts(kind)
-    for each in fields(kind):
-        value, about = getattr(namespace, each.name), _Type(hints[each.name])
-        flag = each.name if about.positional else f"--{texts[each.name][0]}"
+    for each in _declared(kind):
+        value, flag = getattr(namespace, each.name), each.flag or each.name
         for item in value if isinstance(value, (list, tuple)) else [] if value is None else [value]:
-            if about.limits and not about.limits[0] <= item <= about.limits[1]:
-                low, high = about.limits
+            if each.limits and not each.limits[0] <= item <= each.limits[1]:
+                low, high = each.limits
                 limits = f"at least {low}" if high == math.inf else f"from {low} to {high}"
                 raise WrongUsage(f"{flag} must be {limits}, got {item}")
-            if about.item in (Source, Path):
-                _check_length(flag, os.fsencode(item), SPARE if about.item is Path else 0)
-                named.append((flag, about.item, Path(item)))
-        values[each.name] = tuple(value) if about.container is tuple else value
+            if each.item in (Source, Path):
+                _check_length(flag, os.fsencode(item), SPARE if each.item is Path else 0)
+                named.append((flag, each.item, Path(item)))
+        values[each.name] = tuple(value) if each.container is tuple else value
     _keep_apart(named)
     values["quiet"] = values["quiet"] or not sys.stderr.isatty()
     return kind(**values)
@@ -150,17 +154,15 @@ def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
 def words_of(options: Options, *without: str) -> list[object]:
     """Return the words of a command line that gives these options, but for the fields `without`."""
     words: list[object] = []
-    hints, texts = typing.get_type_hints(type(options), include_extras=True), _texts(type(options))
-    for each in fields(options):
-        value, about = getattr(options, each.name), _Type(hints[each.name])
-        default = [] if about.container is list else each.default
-        if each.name in ("quiet", *without) or value == default:
+    for each in _declared(type(options)):
+        value = getattr(options, each.name)
+        if each.name in ("quiet", *without) or value == each.default:
             continue
-        flag = [] if about.positional else [f"--{texts[each.name][0]}"]
-        if about.container is list:
+        flag = [each.flag] if each.flag else []
+        if each.container is list:
             words += [word for item in value for word in (*flag, item)]
         else:
-            words += flag if about.item is bool else [*flag, *(value if about.container else [value])]
+            words += flag if each.item is bool else [*flag, *(value if each.container else [value])]
     return words
 
 
@@ -231,7 +233,8 @@ def _check_length(flag: str, name: bytes, spare: int) -> None:
         )
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Return a value as a command line has it."""
     if isinstance(value, tuple):
         return " ".join(map(str, value))
     if isinstance(value, Path) and value.is_relative_to(REPOSITORY):

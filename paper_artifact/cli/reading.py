@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from paper_artifact.cli.options import Options, Source, WrongUsage, usage_checked
+from paper_artifact.cli.options import Options, Source, WrongUsage, shown, usage_checked
 from paper_artifact.config import GivenConfig, with_changes
 from paper_artifact.files import run_record
 
@@ -59,19 +59,14 @@ class ReadingOptions(Options):
         from paper_artifact.record.store import config_of, read_record
         from paper_artifact.scene.folder import scene_digest, scene_root
 
-        given, default = config_of(read_record(file)).given, GivenConfig()
-        values = {name: getattr(given, name) for name in READING} if given is not None else {}
-        taken = {
-            name: value
-            for name, value in values.items()
-            if value != getattr(default, name) and name not in said
-        }
-        if given is None or not taken:
+        given = config_of(read_record(file)).given
+        if given is None:
             return said
-        words = " ".join(
-            f"--{name} {value:g}" if name == "downscale" else f"--{name} {value}"
-            for name, value in taken.items()
-        )
+        of_run = {name: getattr(given, name) for name in READING if name not in said}
+        taken = {name: value for name, value in of_run.items() if value != getattr(GivenConfig(), name)}
+        if not taken:
+            return said
+        words = " ".join(f"--{name} {shown(value)}" for name, value in taken.items())
         if given.digest != scene_digest(scene_root(self.scene)):
             print(f"{file} is of another scene than {self.scene}: its {words} not taken", file=sys.stderr)
             return said

@@ -81,7 +81,7 @@ def fetch(options: Fetch) -> int:
     if failed:
         print(f"paper_artifact: {failed} of {len(keys)} meshes could not be fetched", file=sys.stderr)
     elif not options.key:
-        print(next_command("certify", "--candidates"))
+        print(next_command("run-all", "--only", "10_group_wave"))
     elif len(keys) == 1 and files:
         print(next_command("photos", path, "--out", f"results/scenes/{keys[0]}"))
     elif len(keys) == 1:

@@ -24,7 +24,7 @@ from paper_artifact.export.solid import (
     solidify_soup,
     write_solid,
 )
-from paper_artifact.files import check_writable, write_text
+from paper_artifact.files import check_writable
 from paper_artifact.frame import Frame
 from paper_artifact.ingest import hot_pot
 from paper_artifact.ingest import solidify as shells
@@ -55,7 +55,6 @@ class Ingest(Options):
         pot: its own)
     cells: grid cells per ε (default: {shells.CELLS:g}; pot: its own)
     json FILE: also write both certificates and the numbers as JSON (-: to stdout)
-    raw_obj FILE: pot only: also write the raw polygons as OBJ
     """
 
     raw: Positional[Source]
@@ -63,7 +62,6 @@ class Ingest(Options):
     offset: float | None = None
     cells: float | None = None
     json: Path | None = None
-    raw_obj: Path | None = None
 
 
 def ingest(options: Ingest) -> tuple[int, dict]:
@@ -75,16 +73,12 @@ def ingest(options: Ingest) -> tuple[int, dict]:
     with usage_checked():
         check_shell_format(options.out)
         check_ladder([offset], cells)
-        if options.raw_obj is not None and pot is None:
-            raise WrongUsage("--raw-obj writes the procedural pot's polygons; it goes with 'pot' alone")
     check_writable(options.out)
     mesh = find_mesh(options.raw, welded=False) if pot is None else pot.mesh()
     with stage_bar(options.raw, options.quiet) as stage:
         stage("distances and shell")
         solid = shells.solidify(mesh, offset, cells)
     certificate = write_shell(options.out, solid.shell)
-    if options.raw_obj is not None and pot is not None:
-        write_text(options.raw_obj, pot.obj())
     raw = solid.raw
     reasons = f" ({'; '.join(raw.reasons)})" if raw.reasons else ""
     print(

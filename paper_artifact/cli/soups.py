@@ -136,19 +136,13 @@ def _table(result: dict) -> str:
             lines.append(
                 "warning: that is far: does the target lie elsewhere, or has it another unit of length?"
             )
-    return "\n".join([*lines, *_image_lines(result)])
-
-
-def _image_lines(result: dict) -> list[str]:
-    """Return the line of the image scores and of which views, none where no image was scored."""
-    if "images" not in result:
-        return []
-    images = result["images"]
-    rays = images["supersample"] ** 2
-    return [
-        f"{images['of']} views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
-        f"({len(images['views'])} views, {rays} ray{'s' if rays > 1 else ''} a pixel)"
-    ]
+    if "images" in result:
+        images, rays = result["images"], result["images"]["supersample"] ** 2
+        lines.append(
+            f"{images['of']} views: PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f} "
+            f"({len(images['views'])} views, {rays} ray{'s' if rays > 1 else ''} a pixel)"
+        )
+    return "\n".join(lines)
 
 
 def _view_scores(soup: Soup, frame: Frame, scene: Scene, supersample: int) -> dict:
@@ -228,11 +222,12 @@ def exported(options: Export) -> list[Path]:
             raise WrongUsage(
                 f"--target {options.target} would be lost: --out gets a file of this name; give another"
             )
-    files: dict[str, Callable[[Path], None]] = {}
-    if "ply" in options.formats:
-        files["ply"] = lambda path: write_ply(path, triangles, frame)
-    if "glb" in options.formats:
-        files["glb"] = lambda path: write_glb(path, triangles, frame)
+    models = {"ply": write_ply, "glb": write_glb}
+    files: dict[str, Callable[[Path], None]] = {
+        kind: partial(write, triangles=triangles, frame=frame)
+        for kind, write in models.items()
+        if kind in options.formats
+    }
     if "html" in options.formats:
         parts = {"soup": triangles}
         if options.target is not None:

@@ -41,17 +41,6 @@ class RawPot:
     polygons: tuple[tuple[int, ...], ...]  # vertex indices of each, 4 or 12
     shell: np.ndarray  # (len(polygons),) int64, 0..8
 
-    def obj(self) -> str:
-        """Return the pot as Wavefront OBJ text, polygons kept, one group per shell."""
-        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.vertices.tolist()]
-        for number in range(int(self.shell.max()) + 1):
-            lines.append(f"g shell_{number}")
-            lines += [
-                "f " + " ".join(str(i + 1) for i in self.polygons[k])
-                for k in np.flatnonzero(self.shell == number)
-            ]
-        return "\n".join(lines) + "\n"
-
     def mesh(self) -> Mesh:
         """Return the pot as a Mesh: polygons split by the fan 0–2, points not welded."""
         faces = [(p[0], p[i], p[i + 1]) for p in self.polygons for i in range(1, len(p) - 1)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import resource
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -49,19 +50,12 @@ def host() -> dict[str, str | int | None]:
 def cpu_model() -> str:
     """Return the CPU's model name as the system tells it, else the architecture."""
     cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(errors="replace").splitlines():
-            if line.lower().startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+    lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.is_file() else []
+    named = [line.partition(":")[2].strip() for line in lines if line.lower().startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()
 
 
-def peak_memory_mib() -> int | None:
-    """Return the process's largest resident size so far in MiB, or None where the system does not tell
-    (Windows)."""
-    try:
-        import resource
-    except ImportError:
-        return None
+def peak_memory_mib() -> int:
+    """Return the process's largest resident size so far in MiB."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return int(size / (2**20 if sys.platform == "darwin" else 2**10))

@@ -20,6 +20,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,55 +151,45 @@ def read_record(path: Path | str) -> dict:
     digest).
     """
     path = Path(path)
+
+    def fault(what: str, advice: str = "delete it and run again") -> InputError:
+        return InputError(f"the record {path} {what}; {advice}")
+
     try:
         record = load_json(path)
     except OSError as error:
         raise InputError(f"cannot read the record {path}: {error.strerror}; check the path") from error
     except ValueError as error:
-        raise InputError(
-            f"the record {path} is damaged or cut off ({error}); delete it and run again"
-        ) from error
+        raise fault(f"is damaged or cut off ({error})") from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise InputError(
             f"{path} is no run record of this artifact (schema {SCHEMA}); move it out of the folder"
         )
     if record.get("version") != VERSION:
-        raise InputError(
-            f"the record {path} has version {record.get('version')}, this code reads {VERSION}; run it again"
-        )
+        raise fault(f"has version {record.get('version')}, this code reads {VERSION}", "run it again")
     try:
         record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(
-            f"the record {path} is damaged in its tables ({error}); delete it and run again"
-        ) from error
-    missing = [name for name in REQUIRED if name not in record]
-    if missing:
-        raise InputError(f"the record {path} lacks {', '.join(missing)}; delete it and run again")
+        raise fault(f"is damaged in its tables ({error})") from error
+    if missing := [name for name in REQUIRED if name not in record]:
+        raise fault(f"lacks {', '.join(missing)}")
     try:
         config, version = config_of(record), record["defaults"]
     except InputError as error:
-        raise InputError(
-            f"the record {path} has a configuration that this code does not know ({error}); run it again"
-        ) from error
+        raise fault(f"has a configuration that this code does not know ({error})", "run it again") from error
     if record["config_hash"] != config_hash(config, version):
-        raise InputError(
-            f"the record {path} was changed: its config does not match its hash; delete it and run again"
-        )
+        raise fault("was changed: its config does not match its hash")
     expected = record_path(config, version=version).name
     if path.name != expected:
-        raise InputError(
-            f"the record {path} is misnamed: its config belongs to {expected}; rename it back, or "
-            "delete it and run again"
+        raise fault(
+            f"is misnamed: its config belongs to {expected}", "rename it back, or delete it and run again"
         )
     try:
         digest = _hash({key: value for key, value in record.items() if key != "digest"})
     except ValueError:  # a number beyond what a float holds, which no writer wrote
         digest = None
     if record["digest"] != digest or digest is None:
-        raise InputError(
-            f"the record {path} was changed after it was written (digest mismatch); delete it and run again"
-        )
+        raise fault("was changed after it was written (digest mismatch)")
     return record
 
 
@@ -219,44 +210,11 @@ def check_unedited(path: Path) -> None:
                 ) from error
 
 
-def find_records(folder: Path | str = RUNS, **filters: Any) -> list[dict]:
-    """Return the records in `folder`, by file name, whose config has every filter's value (or one of a list,
-    tuple or set).
-
-    find_records(shape="torus", condition=("C0", "C1"), seed=range(3)). An empty or missing folder gives [].
-    Damaged records raise InputError, whatever the filters.
-    """
-    found = []
-    for path in sorted(Path(folder).glob("[!.]*.json")):
-        record = read_record(path)
-        if all(_accepts(wanted, record["config"].get(name)) for name, wanted in filters.items()):
-            found.append(record)
-    return found
-
-
-def _accepts(wanted: Any, value: Any) -> bool:
-    return (
-        value in wanted
-        if isinstance(wanted, (list, tuple, set, frozenset, range))
-        else value == plain(wanted)
-    )
-
-
 def _thinned(losses: Mapping[str, Any]) -> dict:
-    columns = {name: np.asarray(values, dtype=np.float64) for name, values in losses.items()}
-    lengths = {len(values) for values in columns.values()}
-    if len(lengths) > 1:
-        raise InputError(f"the columns of the loss trajectory have different lengths: {sorted(lengths)}")
-    length = lengths.pop() if lengths else 0
+    length = len(losses.get("step", ()))
     kept = np.unique(np.linspace(0, length - 1, min(length, LOSS_POINTS)).round().astype(int))
-    return {
-        name: [int(x) if name == "step" else _short(x) for x in values[kept]]
-        for name, values in columns.items()
-    }
-
-
-def _short(value: float) -> float | None:
-    return float(f"{value:.5g}") if math.isfinite(value) else None
+    columns = {name: np.asarray(values, dtype=np.float64)[kept] for name, values in losses.items()}
+    return {name: plain(x.astype(int) if name == "step" else x, 5) for name, x in columns.items()}
 
 
 def _canonical(value: Any) -> str:
@@ -280,17 +238,14 @@ def pack(value: Any) -> Any:
 def unpack(value: Any) -> Any:
     """Return the JSON value that `pack` made compact. Raises ValueError, KeyError, TypeError or
     AttributeError for a damaged form."""
-    return _unpacked(value, itertools.count())
+    return _unpacked(itertools.count(), value)
 
 
-def _unpacked(value: Any, items: Iterator[int]) -> Any:
+def _unpacked(items: Iterator[int], value: Any) -> Any:
     """Return what `unpack` does; `items` counts what was unpacked so far."""
     if next(items) > MOST:
         raise ValueError("it unpacks without end")
-
-    def unpack(value: Any) -> Any:
-        return _unpacked(value, items)
-
+    unpack = partial(_unpacked, items)
     if isinstance(value, list):
         return [unpack(item) for item in value]
     if not isinstance(value, dict):
@@ -353,12 +308,11 @@ def first_difference(recorded: Mapping, again: Mapping) -> str | None:
     """
     pairs = itertools.zip_longest(_course(recorded), _course(again), fillvalue=(None, "nothing", None))
     for (step, name, before), (other_step, other_name, after) in pairs:
+        where = "at the end" if step is None else f"step {step}"
         if (step, name) != (other_step, other_name):
-            where = "at the end" if step is None else f"step {step}"
             return f"{where}: the record has a {name} where this run has a {other_name}"
         if before != after:
             place, before, after = _first_leaf(name, before, after)
-            where = "at the end" if step is None else f"step {step}"
             return f"{where}: {place} is {after!r}, and {before!r} in the record"
     return None
 

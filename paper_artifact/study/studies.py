@@ -168,16 +168,6 @@ STUDIES: dict[str, tuple[Block, ...]] = {
 }
 
 
-def settings(name: str) -> dict[str, list[RunConfig]]:
-    """Return {setting (`Block.setting`): its runs} of a study. Raises InputError for an unknown one."""
-    if name not in STUDIES:
-        raise InputError(f"unknown study {name!r}; choose one of {', '.join(STUDIES)}")
-    found: dict[str, list[RunConfig]] = {}
-    for block in STUDIES[name]:
-        found.setdefault(block.setting, []).extend(block.configs())
-    return found
-
-
 def study_configs(
     name: str,
     shapes: list[str] | None = None,
@@ -190,7 +180,9 @@ def study_configs(
     Raises InputError for an unknown study, a shape, condition or seed that it lacks, or a restriction that
     leaves nothing.
     """
-    every = [config for configs in settings(name).values() for config in configs]
+    if name not in STUDIES:
+        raise InputError(f"unknown study {name!r}; choose one of {', '.join(STUDIES)}")
+    every = [config for block in STUDIES[name] for config in block.configs()]
     for word, given in (("shape", shapes), ("condition", conditions), ("seed", seeds)):
         known = list(dict.fromkeys(getattr(config, word) for config in every))
         unknown = [str(value) for value in given or () if value not in known]

@@ -58,35 +58,31 @@ class Estimate:
     def __init__(self, todo: list[RunConfig], workers: int) -> None:
         self._taken, self._workers = dict.fromkeys(todo, 0), workers  # steps
         self._first: dict[RunConfig, Step] = {}  # of the runs in progress
-        self._paces: dict[str, dict[RunConfig, float]] = {}  # by condition, seconds a step of each run
+        self._paces: dict[RunConfig, float] = {}  # seconds a step
 
     def stepped(self, step: Step) -> None:
         """Take note of a step; from the second on they have a pace, which leaves out the start."""
         first = self._first.setdefault(step.config, step)
         self._taken[step.config] = step.step
         if step.step > first.step:
-            pace = (step.seconds - first.seconds) / (step.step - first.step)
-            self._paces.setdefault(step.config.condition, {})[step.config] = pace
+            self._paces[step.config] = (step.seconds - first.seconds) / (step.step - first.step)
 
     def ended(self, outcome: Outcome) -> None:
         """Take note of an ended run; a failing one says nothing about the others."""
-        config = outcome.config
-        del self._taken[config]
-        self._first.pop(config, None)
-        own = self._paces.setdefault(config.condition, {})
-        own.pop(config, None)
+        for table in (self._taken, self._first, self._paces):
+            table.pop(outcome.config, None)
         if outcome.failure is None:
-            own[config] = outcome.seconds / config.steps
+            self._paces[outcome.config] = outcome.seconds / outcome.config.steps
+
+    def _pace(self, config: RunConfig) -> float:
+        alike = [pace for run, pace in self._paces.items() if run.condition == config.condition]
+        return self._paces.get(config) or mean(alike or self._paces.values())
 
     def seconds(self) -> float | None:
         """Return the seconds left, None while nothing is known."""
-        known = [pace for own in self._paces.values() for pace in own.values()]
-        if self._taken and not known:
+        if self._taken and not self._paces:
             return None
-        left = 0.0
-        for config, taken in self._taken.items():
-            own = self._paces.get(config.condition, {})
-            left += (config.steps - taken) * own.get(config, mean(own.values() or known))
+        left = sum((config.steps - taken) * self._pace(config) for config, taken in self._taken.items())
         return left / max(1, min(self._workers, len(self._taken)))
 
     def text(self) -> str:
