@@ -56,40 +56,40 @@ from paper_artifact.train.state import alone
 DENSE = 20_000  # points of the target surface that hold an importance field
 
 
+def make_run_bundle(config: RunConfig, mesh: Mesh | None) -> Bundle | None:
+    """Return what the run's loss acts towards, of the mesh; None for no loss and for stated Betti numbers.
+    Raises InputError for a target without a significant bar."""
+    loss = config.loss
+    if loss is None or loss.kind == "betti":
+        return None
+    assert mesh is not None
+    geometry = mesh.vertices, mesh.faces, loss.samples, loss.bundle_seed
+    return build_from_mesh(*geometry, shape=config.shape, dimensions=loss.dimensions)
+
+
 def make_run_term(
     config: RunConfig,
-    mesh: Mesh | None,
+    bundle: Bundle | None,
     points: np.ndarray | None = None,
     *,
-    bundle: Bundle | None = None,
     strict: bool = False,
     tell: Callable[[str], None] | None = None,
     within: Within | None = None,
-) -> tuple[TopologyTerm | None, Bundle | None]:
-    """Return (loss term, target bundle) of a configuration; (None, None) for no loss.
+) -> TopologyTerm | None:
+    """Return the loss term of a configuration, None for no loss.
 
-    bundle: a target, instead of the mesh. Stated Betti numbers have no bundle and need no
-    mesh, but the SfM cloud's `points` (P,3), world units. strict, tell, within: see `TopologyTerm`. Raises
-    InputError for a bundle without a bar, or a cloud too small or flat.
+    bundle: the target (`make_run_bundle`). points: for stated Betti numbers, which have none, the SfM cloud
+    (P,3), world units. strict, tell, within: see `TopologyTerm`. Raises InputError for a cloud too small or
+    flat.
     """
-    loss = config.loss
+    loss, steps, seed = config.loss, config.steps, config.seed
     if loss is None:
-        return None, None
+        return None
     if loss.kind == "betti":
         assert points is not None
-        steps, seed = config.steps, config.seed
-        return statement_term(loss, points, steps, seed, strict=strict, tell=tell, within=within), None
-    if bundle is None:
-        assert mesh is not None
-        bundle = build_from_mesh(
-            mesh.vertices,
-            mesh.faces,
-            loss.samples,
-            loss.bundle_seed,
-            shape=config.shape,
-            dimensions=loss.dimensions,
-        )
-    return TopologyTerm(loss, bundle, config.steps, config.seed), bundle
+        return statement_term(loss, points, steps, seed, strict=strict, tell=tell, within=within)
+    assert bundle is not None
+    return TopologyTerm(loss, bundle, steps, seed)
 
 
 def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: Mesh) -> ImportanceField:
@@ -103,7 +103,7 @@ def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: M
     kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
     if allocation.centres == "random":
         draws = stream(config.seed, "allocation-centres")
-        kernels = [each.moved(sample(len(each.centres), draws)) for each in kernels]
+        kernels = [replace(each, centres=sample(len(each.centres), draws)) for each in kernels]
     return importance_field(kernels, sample(DENSE, stream(0, "allocation-dense")))
 
 
@@ -133,24 +133,6 @@ def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:
     return load_scene(build_scene(mesh, scene_config, scene_folder(mesh, scene_config, root)))
 
 
-def remarks(config: RunConfig, scene: Scene, target: Bundle | Mesh | None) -> list[str]:
-    """Return what a user should know before a run on a scene that was given, a sentence each."""
-    found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
-    if wanted > count:
-        found.append(
-            f"the run would start from {wanted} triangles ({config.initial_ratio:g} times the budget of "
-            f"{config.budget}), but the SfM cloud has {count} points: it starts from {count}"
-        )
-    if target is not None:
-        ratio = scene.frame.length(target.diagonal) / frame_diagonal(scene.points)
-        if not 0.5 <= ratio <= 2:
-            found.append(
-                f"the target's diagonal is {ratio:.3g} times the SfM cloud's: bring both to one unit of "
-                "length, or its bars are compared with others"
-            )
-    return found
-
-
 @dataclass(frozen=True)
 class StudyMesh:
     """A run on a shape of the study: its views are rendered from the mesh."""
@@ -169,13 +151,16 @@ class StudyMesh:
 
     def content(self) -> str:
         """Return a hash of what the run was given, which names its checkpoint."""
-        return config_hash(self.given.config) if self.given.mesh is None else mesh_hash(self.given.mesh)
+        assert self.given.mesh is not None
+        return mesh_hash(self.given.mesh)
 
     def sections(self, scene: Scene, target: Target | None) -> dict[str, Any]:
-        """Return the record's sections of ground truth and photographs."""
-        if self.given.mesh is None or target is None:
+        """Return the record's sections of ground truth, in the user's units, and photographs."""
+        mesh = self.given.mesh
+        if mesh is None or target is None:
             return {}
-        return {"mesh": _mesh_section(self.given.mesh, target)}
+        truth = {"name": mesh.name, "sha256": mesh_hash(mesh), "diagonal": mesh.diagonal, "betti": mesh.betti}
+        return {"mesh": truth | {"dimension": target.dimension, "floor": target.floor}}
 
 
 class OwnMesh(StudyMesh):
@@ -204,7 +189,21 @@ class OwnScene(OwnMesh):
 
     def remarks(self, scene: Scene) -> list[str]:
         """Return what a user should know before the run, a sentence each."""
-        return remarks(self.given.config, scene, self.given.bundle or self.given.mesh)
+        config, target = self.given.config, self.given.bundle or self.given.mesh
+        found, wanted, count = [], round(config.initial_ratio * config.budget), len(scene.points)
+        if wanted > count:
+            found.append(
+                f"the run would start from {wanted} triangles ({config.initial_ratio:g} times the budget of "
+                f"{config.budget}), but the SfM cloud has {count} points: it starts from {count}"
+            )
+        if target is not None:
+            ratio = scene.frame.length(target.diagonal) / frame_diagonal(scene.points)
+            if not 0.5 <= ratio <= 2:
+                found.append(
+                    f"the target's diagonal is {ratio:.3g} times the SfM cloud's: bring both to one unit of "
+                    "length, or its bars are compared with others"
+                )
+        return found
 
     def content(self) -> str:
         """Return a hash of what the run was given, which names its checkpoint."""
@@ -212,7 +211,16 @@ class OwnScene(OwnMesh):
 
     def sections(self, scene: Scene, target: Target | None) -> dict[str, Any]:
         """Return the record's sections of ground truth and photographs."""
-        return super().sections(scene, target) | {"scene": _scene_section(scene)}
+        given = {
+            "views": len(scene.names),
+            "holdout": [scene.names[view] for view in scene.holdout],
+            "size": list(scene.images.shape[:1:-1]),  # width, height
+            "points": len(scene.points),
+            "radius": scene.radius,
+            "diagonal": frame_diagonal(scene.points),
+            "background": scene.background,
+        }
+        return super().sections(scene, target) | {"scene": given}
 
 
 def subject_of(config: RunConfig, mesh: Mesh | None = None) -> StudyMesh:
@@ -249,7 +257,8 @@ def run(
     if not again and (found := recorded_path(config, results / "runs")) is not None:
         return _uncontradicted(read_record(found), strict)
     require_memory_for(max(part.samples for part in (config, config.loss, config.allocation) if part))
-    bundle = _target_bundle(config, subject.given)  # before the scene: a loss without a target fails early
+    # before the scene: a loss without a target fails early
+    bundle = subject.given.bundle or make_run_bundle(config, subject.given.mesh)
     path = record_path(config, results / "runs")
     check_writable(path)
     if again:
@@ -263,8 +272,8 @@ def run(
             for remark in subject.remarks(scene):
                 tell(remark)
         mesh, bundle = _in_frame(scene.frame, subject.given.mesh, bundle)
-        of_it, points = within(scene), scene.points
-        term, _ = make_run_term(config, None, points, bundle=bundle, strict=strict, tell=tell, within=of_it)
+        of_it = within(scene)
+        term = make_run_term(config, bundle, scene.points, strict=strict, tell=tell, within=of_it)
         target = None if mesh is None else make_target(mesh, config.samples)
         resampler, importance = make_run_allocation(config, mesh, scene.points)
         cpu = time.process_time()
@@ -297,15 +306,6 @@ def run(
         write_record(record, results / "runs")
         checkpoint.unlink(missing_ok=True)
         return _uncontradicted(record, strict)
-
-
-def _target_bundle(config: RunConfig, given: Given) -> Bundle | None:
-    """Return what the run's loss acts towards; None for no loss and for stated Betti numbers. Raises
-    InputError for a target without a significant bar."""
-    if config.loss is None or config.loss.kind == "betti" or given.bundle is not None:
-        return given.bundle
-    assert given.mesh is not None
-    return make_run_term(config, given.mesh)[1]
 
 
 def _in_frame(frame: Frame, mesh: Mesh | None, bundle: Bundle | None) -> tuple[Mesh | None, Bundle | None]:
@@ -373,28 +373,3 @@ def _holdout_section(soup: Soup, scene: Scene) -> dict:
     scores = view_scores(soup, scene, scene.holdout)
     numbers = {"psnr": round(scores["psnr"], 4), "ssim": round(scores["ssim"], 6)}
     return numbers | {"holdout_views": len(scene.holdout)}
-
-
-def _mesh_section(mesh: Mesh, target: Target) -> dict:
-    """Return what a record says of the ground truth, in the user's units, and of what it is judged by."""
-    return {
-        "name": mesh.name,
-        "sha256": mesh_hash(mesh),
-        "diagonal": mesh.diagonal,
-        "betti": mesh.betti,
-        "dimension": target.dimension,
-        "floor": target.floor,
-    }
-
-
-def _scene_section(scene: Scene) -> dict:
-    """Return what a record says of a scene that was given."""
-    return {
-        "views": len(scene.names),
-        "holdout": [scene.names[view] for view in scene.holdout],
-        "size": list(scene.images.shape[:1:-1]),  # width, height
-        "points": len(scene.points),
-        "radius": scene.radius,
-        "diagonal": frame_diagonal(scene.points),
-        "background": scene.background,
-    }

@@ -24,7 +24,7 @@ from paper_artifact.config import parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import measure
 from paper_artifact.mesh import Mesh, checked_mesh
-from paper_artifact.pipeline import make_run_term
+from paper_artifact.pipeline import make_run_bundle
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.shapes import find_mesh
@@ -122,7 +122,7 @@ def test_the_command_builds_the_audits_bundle_again():
     assert words[:5] == ["python", "-m", "paper_artifact", "train", "sphere"]
     changes = parse_changes([words[i + 1] for i, word in enumerate(words) if word == "--loss"], "--loss")
     config = study_config("sphere", "C1", steps=10, loss=changes)
-    _, bundle = make_run_term(config, audit.mesh)
+    bundle = make_run_bundle(config, audit.mesh)
     assert bundle.to_json() == audit.bundle.to_json() and config.budget == 1200
     own = replace(audit, name="my mesh.obj", usual=True)  # `train` applies the rule itself
     assert own.commands[1] == "python -m paper_artifact train 'my mesh.obj' --condition C1"

@@ -19,7 +19,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.config import GivenConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
-from paper_artifact.pipeline import remarks, results_of, run
+from paper_artifact.pipeline import OwnScene, results_of, run
 from paper_artifact.record.store import recorded_path
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
@@ -177,7 +177,7 @@ def test_words_and_targets(photographs, tmp_path, capsys):
     assert "which photographs do not bring: give --target" in capsys.readouterr().err
     given = resolve(study_config(str(photographs)))
     big = replace(build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,)))
-    (_, scale) = remarks(given.config, load_scene(given.folder), big)
+    (_, scale) = OwnScene(replace(given, bundle=big)).remarks(load_scene(given.folder))
     assert "the target's diagonal is 9" in scale or "times the SfM cloud's" in scale
     far = [
         *QUIET,

@@ -10,7 +10,6 @@ import scipy.stats
 import torch
 import trimesh
 
-from paper_artifact.errors import InputError
 from paper_artifact.raster import draws, lanes, twin
 from tests.raster_cases import cameras, front_camera, look_at, mlp, soup
 from tests.test_image_scores import naive_ssim
@@ -319,15 +318,3 @@ def test_colours_pass_through_the_edge_gradient_and_of_no_triangle_there_is_none
         gradient = case["vertices"].grad
         assert gradient.shape == (count, 3, 3) and bool(gradient.any()) == (count > 0)
         assert torch.isfinite(gradient).all() and bool(raster.triangle.any()) == (count > 0)
-
-
-def test_bad_shapes_are_named():
-    case, matrices = soup(1, 3), cameras(1, 2)
-    with pytest.raises(InputError, match="opacity"):
-        twin.rasterize(case["vertices"], case["opacity"][:2], matrices, 8, 8, None)
-    with pytest.raises(InputError, match="world_to_clip"):
-        twin.rasterize(case["vertices"], case["opacity"], matrices.float(), 8, 8, None)
-    with pytest.raises(InputError, match="keys"):
-        twin.rasterize(case["vertices"], case["opacity"], matrices, 8, 8, [1])
-    with pytest.raises(InputError, match="11"):
-        twin.photometric_loss(torch.zeros(1, 3, 10, 20), torch.zeros(1, 3, 10, 20))

@@ -16,7 +16,7 @@ from paper_artifact.catalogue import study_config
 from paper_artifact.evaluate.diagram import diagram_of
 from paper_artifact.evaluate.scores import make_target, soup_samples
 from paper_artifact.files import RESULTS
-from paper_artifact.pipeline import make_run_term, prepare_scene
+from paper_artifact.pipeline import make_run_bundle, make_run_term, prepare_scene
 from paper_artifact.randomness import stream
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.soup.initialise import initial_soup
@@ -32,7 +32,8 @@ def run_bars(condition: str) -> pd.DataFrame:
     """Return the bars of one run at STEPS; the run has the bits of `pipeline.run`."""
     config, mesh, tables = study_config(SHAPE, condition, SEED), find_mesh(SHAPE), []
     target = make_target(mesh)
-    scene, (term, _) = prepare_scene(config, mesh, RESULTS / "scenes"), make_run_term(config, mesh)
+    scene = prepare_scene(config, mesh, RESULTS / "scenes")
+    term = make_run_term(config, make_run_bundle(config, mesh))
 
     def keep(soup, step):
         if step in STEPS:

@@ -15,7 +15,7 @@ from common import in_own_process, options
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
-from paper_artifact.pipeline import make_run_term, prepare_scene
+from paper_artifact.pipeline import make_run_bundle, make_run_term, prepare_scene
 from paper_artifact.results import published
 from paper_artifact.scene.shapes import find_mesh
 from paper_artifact.train.loop import train
@@ -54,7 +54,8 @@ def allocated_mib(condition: str, folder: str, steps: int = STEPS_OF_THE_STUDY) 
 
     mesh, config = find_mesh("torus"), study_config("torus", condition, steps=steps)
     scene = prepare_scene(config, mesh, Path(folder))
-    train(scene, config, term=make_run_term(config, mesh)[0], device="cuda")
+    term = make_run_term(config, make_run_bundle(config, mesh))
+    train(scene, config, term=term, device="cuda")
     return torch.cuda.max_memory_allocated() / 2**20
 
 

@@ -23,7 +23,7 @@ from common import in_turn, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config
-from paper_artifact.pipeline import make_run_term, prepare_scene
+from paper_artifact.pipeline import make_run_bundle, make_run_term, prepare_scene
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread, set_thread_count
 from paper_artifact.record.environment import cpu_model, packages
@@ -115,7 +115,8 @@ def whole_run(folder: Path, condition: str, threads: int = 1, **changes: int) ->
     """Train the sphere, on the CPU; its scene is built in `folder` the first time."""
     set_thread_count(threads)
     config, mesh = study_config("sphere", condition, **changes), find_mesh("sphere")
-    train(prepare_scene(config, mesh, folder), config, term=make_run_term(config, mesh)[0], device="cpu")
+    term = make_run_term(config, make_run_bundle(config, mesh))
+    train(prepare_scene(config, mesh, folder), config, term=term, device="cpu")
 
 
 def measured(folder: Path) -> pd.DataFrame:

@@ -143,13 +143,8 @@ def _interpolate(triangle, b0, b1, k, features, kept, at):
             _two_pixels(triangle, b0, b1, k + 14, features),
         )
     )
-    store(kept, at, v[0])
-    store(kept, at + 16, v[1])
-    store(kept, at + 32, v[2])
-    store(kept, at + 48, v[3])
-    store(kept, at + 64, v[4])
-    store(kept, at + 80, v[5])
-    store(kept, at + 96, v[6])
+    for feature in range(FEATURES):
+        store(kept, at + feature * WIDTH, v[feature])
 
 
 @inlined

@@ -13,20 +13,10 @@ from __future__ import annotations
 import torch
 from torch.nn import functional
 
-from paper_artifact.errors import InputError
-from paper_artifact.raster.twin_visibility import Raster, corner_weights, pixel_centres, rasterize, to_clip
+from paper_artifact.raster.twin_visibility import Raster as Raster
+from paper_artifact.raster.twin_visibility import corner_weights, pixel_centres, to_clip
+from paper_artifact.raster.twin_visibility import rasterize as rasterize
 from paper_artifact.ssim import WINDOW, gaussian_window, similarity
-
-__all__ = [
-    "Raster",
-    "edge_gradient",
-    "opacity_gradient",
-    "photometric_loss",
-    "rasterize",
-    "shade",
-    "spherical_harmonics",
-    "view_directions",
-]
 
 _FLOOR = 1e-5  # of a chance that the opacity gradient divides by
 
@@ -289,14 +279,8 @@ def _vertex_gradient(
 def photometric_loss(colour: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the scalar .8·mean|target - colour| + .2·½(1 - SSIM) of images (B,3,H,W) in [0, 1].
 
-    SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views. Raises InputError when
-    the shapes differ or a side of the images is shorter than SSIM's window.
+    H and W are at least 11; SSIM is that of `paper_artifact.ssim`, the mean over windows, channels and views.
     """
-    if colour.shape != target.shape or colour.dim() != 4 or min(colour.shape[2:]) < WINDOW:
-        raise InputError(
-            f"colour and target must be (B,3,H,W) of equal shape with H, W >= {WINDOW}, got "
-            f"{tuple(colour.shape)} and {tuple(target.shape)}"
-        )
     window = torch.tensor(gaussian_window(), dtype=colour.dtype, device=colour.device)
 
     def blur(image: torch.Tensor) -> torch.Tensor:

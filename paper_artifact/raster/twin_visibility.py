@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import torch
 
-from paper_artifact.errors import InputError
 from paper_artifact.raster.draws import draw_torch
 
 
@@ -139,22 +138,9 @@ def rasterize(
     world_to_clip (B,4,4); keys: one 32-bit key per view (`draws.view_key`), or None for the fixed threshold
     .5 of evaluation. A fragment survives iff its alpha (perspective-correct interpolation of the corner
     opacities) is at least its threshold; the nearest survivor takes the pixel, ties go to the smallest
-    triangle index. Raises InputError when shapes, dtypes or the number of keys do not fit together.
+    triangle index.
     """
-    if vertices.dim() != 3 or vertices.shape[1:] != (3, 3) or opacity.shape != vertices.shape[:2]:
-        raise InputError(
-            f"vertices must be (T,3,3) and opacity (T,3), got {tuple(vertices.shape)} and "
-            f"{tuple(opacity.shape)}"
-        )
-    if world_to_clip.dim() != 3 or world_to_clip.shape[1:] != (4, 4) or world_to_clip.dtype != vertices.dtype:
-        raise InputError(
-            f"world_to_clip must be (B,4,4) of the vertices' dtype {vertices.dtype}, "
-            f"got {tuple(world_to_clip.shape)} {world_to_clip.dtype}"
-        )
-    views = world_to_clip.shape[0]
-    if keys is not None and len(keys) != views:
-        raise InputError(f"keys must hold one key per view, got {len(keys)} for {views} views")
-
+    views = len(world_to_clip)
     clip = to_clip(vertices, world_to_clip)
     view, triangle, pixel = _candidates(clip, height, width)
     corners = clip[view, triangle]

@@ -1,4 +1,4 @@
-"""The measurement floor of a point sample, and the checks of the live cloud.
+"""The measurement floor of a point sample.
 
 Paper §3.1 and §6: a bar is significant iff its lifetime exceeds 6·r_med(M), r_med the median
 nearest-neighbour distance of the M samples. For a uniform sample of a surface r_med ≈ sqrt(ln 2 · Area / (π
@@ -8,17 +8,15 @@ M)), so the floor falls as M^(-1/2).
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from paper_artifact.alpha.persistence import LARGEST
-from paper_artifact.arithmetic import dot, norm, normals, product
+from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError, as_numbers, real
-from paper_artifact.randomness import stream
 
-FLAT = 1e-12  # height over extent below which a cloud counts as coplanar
 MULTIPLIER = 6.0  # k of the measurement floor k·r_med (paper §3.1)
 FAR = 1e100  # times a diagonal, or a part of it: a size of points whose squares leave float64
 
@@ -117,52 +115,3 @@ def significant(bars: np.ndarray, floor: float) -> np.ndarray:
     """
     bars = np.asarray(bars, dtype=np.float64).reshape(-1, 2)
     return bars[:, 1] - bars[:, 0] > floor
-
-
-class Frame(Protocol):
-    """What a loss acts towards, as far as the cloud is concerned: a bundle, or a statement in words."""
-
-    @property
-    def diagonal(self) -> float:
-        """The unit of births and deaths, world units."""
-
-    def require_density(self, samples: int) -> None:
-        """Raise InputError unless the loss may sample this many points."""
-
-
-def check_cloud(cloud: np.ndarray, frame: Frame) -> np.ndarray:
-    """Return `cloud` (M,3), world units, as float64 divided by the frame's diagonal.
-
-    Raises InputError for another density than the frame's, fewer than 4 points, coplanar points, NaN, or
-    another scale than the diagonal's.
-    """
-    cloud = space_points(cloud, 4, "the loss")
-    frame.require_density(len(cloud))
-    scaled = cloud / unit_of(np.ptp(cloud, axis=0))
-    if _height(scaled - scaled.mean(axis=0)) <= FLAT:
-        raise InputError(
-            "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
-        )
-    return in_diagonals(cloud, frame.diagonal)
-
-
-def _height(cloud: np.ndarray) -> float:
-    """Return how far `cloud` (M,3) around 0 reaches from the line through 0 and its farthest point, or, where
-    that is less, out of the plane through these and the point farthest from the line; over the farthest's
-    distance."""
-    far = cloud[np.argmax(dot(cloud, cloud))]
-    areas = np.cross(cloud, far)
-    normal = areas[np.argmax(dot(areas, areas))]
-    length, area = float(norm(far)), float(norm(normal))
-    if not area > 0:
-        return 0.0
-    return min(area / length**2, float(np.abs(product(cloud, normal)).max()) / (area * length))
-
-
-def noisy(cloud: np.ndarray, noise: float, seed: int, counter: int) -> np.ndarray:
-    """Return `cloud` (M,3), divided by the diagonal, plus Gaussian noise of deviation `noise`, a function of
-    (seed, counter).
-    """
-    if noise == 0:
-        return cloud
-    return cloud + noise * normals(stream(seed, "topology-noise", counter), *cloud.shape)

@@ -39,11 +39,6 @@ class Kernels:
         ]
         return np.concatenate(values)
 
-    def moved(self, centres: np.ndarray) -> Kernels:
-        """Return kernels of the same weights and widths at other `centres` (n,3): the width-matched
-        control."""
-        return Kernels(centres, self.weights, self.widths)
-
 
 @dataclass(frozen=True, eq=False)
 class ImportanceField:

@@ -39,19 +39,20 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from paper_artifact.alpha.persistence import alpha_persistence
-from paper_artifact.arithmetic import log
+from paper_artifact.arithmetic import dot, log, norm, normals, product
 from paper_artifact.config import LossConfig, with_changes
 from paper_artifact.errors import InputError, as_numbers, whole
+from paper_artifact.randomness import stream
 from paper_artifact.topology.bundle import Bundle
 from paper_artifact.topology.floor import (
     MULTIPLIER,
-    Frame,
-    check_cloud,
     check_diagonal,
     diagonal_of,
+    in_diagonals,
     measurement_floor,
     median_spacing,
-    noisy,
+    space_points,
+    unit_of,
 )
 from paper_artifact.topology.plan import (
     BIRTHS,
@@ -66,9 +67,55 @@ from paper_artifact.topology.plan import (
 )
 from paper_artifact.topology.statement import NAMES, SURPLUS, Statement
 
+FLAT = 1e-12  # height over extent below which a cloud counts as coplanar
 KEPT = 2  # lifetimes beyond the wanted ones that a report of `BettiLoss` keeps
 NEIGHBOURS = 16  # of the smoothed cloud
 PERCOLATION = 1.128  # mean number of discs of a point at which discs on a plane connect
+
+
+def check_cloud(cloud: np.ndarray, frame: Bundle | Statement) -> np.ndarray:
+    """Return `cloud` (M,3), world units, as float64 divided by the frame's diagonal.
+
+    Raises InputError for another density than the frame's, fewer than 4 points, coplanar points, NaN, or
+    another scale than the diagonal's.
+    """
+    cloud = space_points(cloud, 4, "the loss")
+    frame.require_density(len(cloud))
+    scaled = cloud / unit_of(np.ptp(cloud, axis=0))
+    if _height(scaled - scaled.mean(axis=0)) <= FLAT:
+        raise InputError(
+            "all live points lie in one plane: no alpha complex in space; check the geometry they sample"
+        )
+    return in_diagonals(cloud, frame.diagonal)
+
+
+def _height(cloud: np.ndarray) -> float:
+    """Return how far `cloud` (M,3) around 0 reaches from the line through 0 and its farthest point, or, where
+    that is less, out of the plane through these and the point farthest from the line; over the farthest's
+    distance."""
+    far = cloud[np.argmax(dot(cloud, cloud))]
+    areas = np.cross(cloud, far)
+    normal = areas[np.argmax(dot(areas, areas))]
+    length, area = float(norm(far)), float(norm(normal))
+    if not area > 0:
+        return 0.0
+    return min(area / length**2, float(np.abs(product(cloud, normal)).max()) / (area * length))
+
+
+def plan_towards(
+    target: Bundle | Statement, points: np.ndarray, config: LossConfig, seed: int, counter: int
+) -> Plan:
+    """Return the plan of live `points` (M,3), world units. It sees Gaussian noise of the deviation
+    `config.noise` (/ diagonal), a function of (seed, counter).
+
+    Raises InputError as `check_cloud`, `build_plan` and `build_betti_plan` do.
+    """
+    cloud = check_cloud(points, target)
+    if config.noise > 0:
+        cloud = cloud + config.noise * normals(stream(seed, "topology-noise", counter), *cloud.shape)
+    if isinstance(target, Statement):
+        return build_betti_plan(cloud, target, config)
+    return build_plan(cloud, target, config)
 
 
 class PlannedLoss(ABC):
@@ -89,12 +136,8 @@ class PlannedLoss(ABC):
         self._calls = self._refreshes = 0
 
     @abstractmethod
-    def frame(self, points: np.ndarray) -> Frame:
+    def frame(self, points: np.ndarray) -> Bundle | Statement:
         """Return what the loss acts towards; points (M,3), world units, those of a refresh."""
-
-    @abstractmethod
-    def make(self, cloud: np.ndarray) -> Plan:
-        """Return the plan of `cloud` (M,3), divided by the frame's diagonal."""
 
     def refresh(self, points: Tensor | np.ndarray) -> Plan:
         """Make the plan of `points` (M,3), world units, and return it.
@@ -104,8 +147,8 @@ class PlannedLoss(ABC):
         """
         cloud = as_numbers(points, "the points", "give an (M, 3) array of real numbers")
         frame = self.frame(cloud)
-        seen = noisy(check_cloud(cloud, frame), self.config.noise, self.seed, self._refreshes)
-        self.plan, self._diagonal = self.make(seen), frame.diagonal
+        self.plan = plan_towards(frame, cloud, self.config, self.seed, self._refreshes)
+        self._diagonal = frame.diagonal
         self._refreshes += 1
         self._calls = 0
         return self.plan
@@ -162,10 +205,6 @@ class TopologyLoss(PlannedLoss):
         """Return the bundle."""
         return self.bundle
 
-    def make(self, cloud: np.ndarray) -> Plan:
-        """Return the plan of `cloud` (M,3), divided by the bundle's diagonal."""
-        return build_plan(cloud, self.bundle, self.config)
-
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Nothing else moves bare points: pull classes out of the noise, push all others to the diagonal (T2).
@@ -219,17 +258,16 @@ class BettiLoss(PlannedLoss):
             self.statement = Statement(self.betti, diagonal)
         return self.statement
 
-    def make(self, cloud: np.ndarray) -> Plan:
-        """Return the plan of `cloud` (M,3), divided by the diagonal."""
-        assert self.statement is not None
-        plan = build_betti_plan(cloud, self.statement, self.config)
+    def refresh(self, points: Tensor | np.ndarray) -> Plan:
+        """As `PlannedLoss.refresh`; a wanted class that the loss does not act on is a warning, once."""
+        plan = super().refresh(points)
         missed = sum(each["unreached"] for each in plan.report["dimensions"].values())
         if missed and not self._warned:
             self._warned = True
             warnings.warn(
                 f"the loss does not act on {missed} of the wanted classes: no bar of theirs is longer than "
                 f"{self.config.guard:g} of the floor; a smaller guard pulls them out of the noise",
-                stacklevel=4,
+                stacklevel=3,
             )
         return plan
 
@@ -244,11 +282,7 @@ def build_betti_plan(cloud: np.ndarray, statement: Statement, config: LossConfig
 
     def claim(dimension: int, bars: np.ndarray) -> Claims:
         claims = _ranked(bars, dimension, statement, floor, config)
-        return (
-            claims
-            if config.aim in ("deaths", "cloud")
-            else _aimed_otherwise(claims, bars, dimension, cloud, config)
-        )
+        return _with_aim(claims, bars, dimension, cloud, config)
 
     return make_plan(cloud, config.dimensions or (0, 1, 2), claim, floor, floor, config)
 
@@ -313,10 +347,10 @@ def _clean_birth(dimension: int, samples: int, spacing: float) -> float:
     return spacing * math.sqrt((0.0, PERCOLATION, covering)[dimension] / float(log(2.0)))
 
 
-def _aimed_otherwise(
+def _with_aim(
     claims: Claims, bars: np.ndarray, dimension: int, cloud: np.ndarray, config: LossConfig
 ) -> Claims:
-    """Return `claims` on the `bars` (k,2) of one dimension with the aims of `config.aim`.
+    """Return `claims` on the `bars` (k,2) of one dimension with the aims of an ablation in `config.aim`.
 
     cloud (M,3): whose bars they are; all divided by the diagonal.
     """
@@ -329,7 +363,7 @@ def _aimed_otherwise(
             kinds=claims.kinds[~wanted],
             aims=np.zeros((0, 2)),
         )
-    if not wanted.any():
+    if config.aim in ("deaths", "cloud") or not wanted.any():
         return claims
     aims = claims.aims.copy()
     if config.aim == "births":

@@ -48,10 +48,8 @@ SURPLUS = 0.7
 BOX = (1.0, 99.0)
 DENSITIES = (2048, 4096, 8192, 16384)
 ENOUGH = 0.9  # share of M points that a cloud must have to speak for M
-SHOWN, DISTINCT = (
-    20,
-    1.5,
-)  # bars per dimension that a suggestion looks at; how far classes stand above the rest
+SHOWN = 20  # bars per dimension that a suggestion looks at
+DISTINCT = 1.5  # how many times longer than the rest classes are
 ISOLATED = 3.0  # a point is left out where its neighbours are that many times as far as the median point's
 NEAR, PLANE = 16, 32  # neighbours that say whether a point is isolated, and that span its plane
 
@@ -213,10 +211,6 @@ class Density:
     samples: int  # M
     complete: bool  # whether all wanted classes clear the guard there
     reasons: tuple[str, ...]  # the rule's steps as sentences
-
-    def to_json(self) -> dict:
-        """Return a JSON-able dict, for the log of a run."""
-        return {"samples": self.samples, "complete": self.complete, "reasons": list(self.reasons)}
 
 
 def drawn(points: np.ndarray, samples: int) -> np.ndarray:

@@ -32,9 +32,8 @@ from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_soup
 from paper_artifact.topology.bundle import Bundle
-from paper_artifact.topology.floor import check_cloud, noisy
-from paper_artifact.topology.loss import build_betti_plan
-from paper_artifact.topology.plan import Known, build_plan
+from paper_artifact.topology.loss import check_cloud, plan_towards
+from paper_artifact.topology.plan import Known
 from paper_artifact.topology.statement import (
     Statement,
     choose_density,
@@ -250,12 +249,7 @@ class Persistence:
 
     def __init__(self, term: TopologyTerm, step: int, samples: FrozenSamples, vertices: Tensor) -> None:
         config, target = term.config, term.target
-        cloud = check_cloud(samples.positions(vertices).numpy(), target)
-        seen = noisy(cloud, config.noise, term.seed, step - 1)
-        if isinstance(target, Statement):
-            self.plan = build_betti_plan(seen, target, config)
-        else:
-            self.plan = build_plan(seen, target, config)
+        self.plan = plan_towards(target, samples.positions(vertices).numpy(), config, term.seed, step - 1)
         self.samples, self.diagonal = samples, target.diagonal
         # The key belongs to the records' format: a fallback that never fired sampled again in rounds.
         self.report = {**self.plan.report, "denser_rounds": 0}
@@ -306,7 +300,8 @@ def statement_term(
     said: list[str] = []
     if loss.samples == 0:
         density = choose_density(points, statement, loss)
-        loss, log = replace(loss, samples=density.samples), [{"event": "density", **density.to_json()}]
+        chosen = vars(density) | {"reasons": list(density.reasons)}
+        loss, log = replace(loss, samples=density.samples), [{"event": "density", **chosen}]
         said += [*density.reasons, *cost(points, loss, steps)]
     if loss.aim == "cloud":
         statement = measured_on(points, statement, loss.samples)
