@@ -43,7 +43,7 @@ from paper_artifact.scene.build import Perturbation, SceneConfig, build_scene, s
 from paper_artifact.scene.given import Given, is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.scene.subject import within
-from paper_artifact.soup.resample import Resampler, allocating_resampler
+from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup, save_soup
 from paper_artifact.topology.bundle import Bundle, build_from_mesh
 from paper_artifact.topology.importance import ImportanceField, feature_kernels, importance_field
@@ -119,7 +119,7 @@ def make_run_allocation(
     importance = make_run_importance(config, allocation, mesh)
     if allocation.levers == "start":
         return None, importance(points)
-    return allocating_resampler(config, allocation, importance), None
+    return Resampler(config, importance=importance), None
 
 
 def prepare_scene(config: RunConfig, mesh: Mesh, root: Path) -> Scene:

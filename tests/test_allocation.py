@@ -9,16 +9,12 @@ import pytest
 import torch
 
 from paper_artifact.catalogue import study_config
+from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.pipeline import make_run_allocation, make_run_importance
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import (
-    allocating_resampler,
-    most_important,
-    plain_resampler,
-    protective_order,
-)
+from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.split import bisected
 from paper_artifact.soup.state import Soup, initial_mlp
 from paper_artifact.topology.floor import median_spacing
@@ -104,11 +100,17 @@ def test_protection_and_respawn_choose_the_important():
         return points[:, 0] / 9
 
     counts = np.arange(10)[::-1]
-    order = protective_order(importance, 2.0)(corners, counts)
+
+    def made(**prior) -> Resampler:
+        return Resampler(
+            RunConfig("x", budget=300, allocation=AllocationConfig(**prior)), importance=importance
+        )
+
+    order = made(protection=2.0).order(corners, counts)
     np.testing.assert_allclose(order, counts + 2.0 * np.quantile(counts, 0.9) * np.arange(10) / 9)
-    assert np.array_equal(protective_order(importance, 0.0)(corners, counts), counts)
+    assert np.array_equal(made(protection=0.0).order(corners, counts), counts)
     visible = np.arange(10) != 9
-    assert list(most_important(importance, 3)(corners, visible)) == [6, 7, 8]
+    assert list(made(subdivided=0.01).halved(corners, visible)) == [6, 7, 8]
 
 
 def test_halves_cover_the_parent():
@@ -137,17 +139,18 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
     def importance(points):
         return 1 / (1 + points[:, 0] ** 2)
 
-    resampler = allocating_resampler(config, config.allocation, importance)
-    soup, report = resampler.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
+    resampler = Resampler(config, importance=importance)
+    soup, report = resampler.resample(soup_of(count), views, 40, 40, 100)
     assert report["pruned"] == min(count, 60)
     # The plain rule on the same pruned soup: only the order of pruning differs.
-    plain = replace(plain_resampler(config), prune_weight=resampler.prune_weight)
-    expected, plain_report = plain.resample(soup_of(count), views, 40, 40, 0, 100, 2500)
+    none = replace(config, allocation=replace(config.allocation, subdivided=0.0))
+    plain = Resampler(none, importance=importance)
+    expected, plain_report = plain.resample(soup_of(count), views, 40, 40, 100)
     assert len(soup) == report["after"] == plain_report["after"] >= report["pruned"]
     assert (report["after"] > report["pruned"]) == (split_height < 1)
     # Where splitting cuts every triangle small anyway, halving some first changes nothing.
     assert torch.equal(soup.vertices, expected.vertices) == (split_height == 0.1)
-    late, late_report = resampler.resample(soup_of(count), views, 40, 40, 0, 2400, 2500)
+    late, late_report = resampler.resample(soup_of(count), views, 40, 40, 2400)
     assert late_report["after"] == late_report["pruned"] == len(late)  # nothing is made when nothing is split
 
 
@@ -156,7 +159,7 @@ def test_a_share_of_less_than_a_triangle_and_a_target_without_features_are_refus
         feature_kernels(np.random.default_rng(0).random((100, 3)), 3**0.5, 1.0)
     with pytest.raises(InputError, match="budget of 3 triangles is smaller than the protected share"):
         config = replace(study_config("sphere", "B2"), budget=3)
-        allocating_resampler(config, config.allocation, lambda points: points[:, 0])
+        Resampler(config, importance=lambda points: points[:, 0])
 
 
 def test_the_first_triangles_follow_the_importance():
@@ -172,5 +175,5 @@ def test_the_first_triangles_follow_the_importance():
 def test_without_a_prior_the_run_is_the_plain_one(tiny_scene):
     config = tiny_config(steps=12)
     plain = train(tiny_scene, config, device="cpu")
-    given = train(tiny_scene, config, device="cpu", resampler=plain_resampler(config))
+    given = train(tiny_scene, config, device="cpu", resampler=Resampler(config))
     assert plain.losses == given.losses and torch.equal(plain.soup.vertices, given.soup.vertices)

@@ -92,13 +92,14 @@ def outside_views(count: int) -> tuple[Soup, np.ndarray]:
 
 def test_the_budget_of_photographs_holds_from_the_first_pruning_on():
     soup, views = outside_views(400)
-    loose, strict = (Resampler(150, strict=each, split_height=0.1) for each in (False, True))
-    assert len(loose.resample(soup, views, 64, 64, 0, 10, 1000)[0]) > 200
+    config = RunConfig("x", steps=1000, dump_steps=(), budget=150, split_height=0.1)
+    loose, strict = (Resampler(config, strict=each) for each in (False, True))
+    assert len(loose.resample(soup, views, 64, 64, 10)[0]) > 200
     for step in (10, 20, 30):
-        soup, report = strict.resample(soup, views, 64, 64, 0, step, 1000)
+        soup, report = strict.resample(soup, views, 64, 64, step)
         assert report["pruned"] == report["after"] == len(soup) == 150
     few = soup.select(torch.arange(60))
-    assert 60 < len(strict.resample(few, views, 64, 64, 0, 40, 1000)[0]) <= 150
+    assert 60 < len(strict.resample(few, views, 64, 64, 40)[0]) <= 150
 
 
 @pytest.fixture

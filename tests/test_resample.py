@@ -1,5 +1,4 @@
-"""Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule,
-hooks, sanity check."""
+"""Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule."""
 
 from __future__ import annotations
 
@@ -9,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from paper_artifact.config import AllocationConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
 from paper_artifact.raster import twin
@@ -19,6 +19,11 @@ from tests.raster_cases import cameras, look_at
 from tests.raster_cases import soup as random_soup
 
 HEIGHT = 40
+
+
+def resampler(budget: int, **settings) -> Resampler:
+    """The resampler of a run of 100 steps."""
+    return Resampler(RunConfig("x", budget=budget, dump_steps=(), **{"steps": 100, **settings}))
 
 
 def case(seed: int = 0, count: int = 60, size: float = 0.3) -> Soup:
@@ -80,9 +85,7 @@ def split(
 def test_pruning_keeps_the_most_visible_in_their_order():
     soup, world_to_clip = case(), views()
     budget = 25
-    kept, report = Resampler(budget).resample(
-        soup, world_to_clip, HEIGHT, HEIGHT, 0, 99, 100
-    )  # step 99 of 100: no split
+    kept, report = resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 99)  # of 100: no split
     assert (report["before"], report["pruned"], report["after"]) == (60, budget, budget) and len(
         kept
     ) == budget
@@ -111,19 +114,19 @@ def test_visible_pixels_are_those_of_the_twin_up_to_rounding_at_edges():
 
 def test_within_the_budget_nothing_is_pruned_and_the_schedule_is_the_papers():
     soup = case()
-    kept, report = Resampler(60).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
+    kept, report = resampler(60).resample(soup, views(), HEIGHT, HEIGHT, 99)
     assert kept is soup and report["pruned"] == 60
-    resampler = Resampler(1200)
-    assert [step for step in range(1, 2501) if resampler.due(step, 2500)] == list(range(100, 2301, 100))
-    assert [step for step in range(1, 61) if Resampler(9, interval=10).due(step, 60)] == [10, 20, 30, 40, 50]
+    whole, short = Resampler(RunConfig("x")), resampler(9, steps=60, resample_every=10)
+    assert [step for step in range(1, 2501) if whole.due(step)] == list(range(100, 2301, 100))
+    assert [step for step in range(1, 61) if short.due(step)] == [10, 20, 30, 40, 50]
 
 
 def test_the_last_resamplings_prune_but_do_not_split():
     soup = case(2, size=1.0)
-    resampler = Resampler(40, prune_until=1.1, split_height=0.1)
-    split_soup, report = resampler.resample(soup, views(), HEIGHT, HEIGHT, 0, 94, 100)
+    small = resampler(40, split_height=0.1)
+    split_soup, report = small.resample(soup, views(), HEIGHT, HEIGHT, 94)
     assert report["pruned"] == 40 and report["after"] == len(split_soup) > 40
-    assert len(resampler.resample(soup, views(), HEIGHT, HEIGHT, 0, 95, 100)[0]) == 40
+    assert len(small.resample(soup, views(), HEIGHT, HEIGHT, 95)[0]) == 40
 
 
 @settings(max_examples=25, deadline=None)
@@ -186,8 +189,8 @@ def test_many_splits_outgrow_the_first_buffer():
 
 def test_children_inherit_features_and_opacity():
     soup, world_to_clip = case(4, size=0.4), views()
-    resampler = Resampler(60, split_views=3, split_height=0.25)
-    after, report = resampler.resample(soup, world_to_clip, HEIGHT, 2 * HEIGHT, 7, 10, 100)
+    drawing = resampler(60, seed=7, split_views=3, split_height=0.25)
+    after, report = drawing.resample(soup, world_to_clip, HEIGHT, 2 * HEIGHT, 10)
     assert report["after"] == len(after) > report["pruned"] == 60
     # Features name their triangle: their first entry, times what `case` divided by.
     origins = np.rint(after.features[:, 0, 0].detach().numpy() * 60 * 21 / 21).astype(int)
@@ -218,21 +221,18 @@ def test_children_inherit_features_and_opacity():
 def test_no_split_views_beyond_those_there_are_and_the_same_seed_gives_the_same_bits():
     soup = case(5, size=1.0)
     first, second = (
-        Resampler(60, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0] for _ in range(2)
+        resampler(60, seed=1, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 10)[0] for _ in range(2)
     )
     assert torch.equal(first.vertices, second.vertices)
-    other = Resampler(60, split_views=1).resample(soup, views(), HEIGHT, HEIGHT, 1, 10, 100)[0]
+    other = resampler(60, seed=1, split_views=1).resample(soup, views(), HEIGHT, HEIGHT, 10)[0]
     assert len(other) < len(first)
 
 
-def test_prune_weight_decides_the_order():
-    soup = case()
-
-    def last_first(corners, counts):
-        assert corners.shape == (60, 3, 3) and counts.shape == (60,) and counts.dtype == np.int64
-        return -np.arange(60)
-
-    kept, _ = Resampler(10, prune_weight=last_first).resample(soup, views(), HEIGHT, HEIGHT, 0, 99, 100)
+def test_importance_decides_the_order_of_pruning():
+    soup, prior = case(), AllocationConfig(protection=1e6, subdivided=0.0)
+    config = RunConfig("x", steps=100, dump_steps=(), budget=10, allocation=prior)
+    made = Resampler(config, importance=lambda points: 1 - np.arange(len(points)) / 60)
+    kept, _ = made.resample(soup, views(), HEIGHT, HEIGHT, 99)
     assert torch.equal(kept.vertices, soup.vertices[:10])
 
 
@@ -243,5 +243,5 @@ def test_a_split_beyond_the_memory_is_refused_with_the_amount_before_it_is_tried
     least = least_pieces(soup.vertices.detach().numpy(), *where)
     assert 60 < least <= len(corners) < 20 * least
     monkeypatch.setattr("paper_artifact.soup.resample.split_long_edges", None)  # calling it would fail
-    with pytest.raises(InputError, match=r"longer than 1e-06 .* at least .* GiB of memory, .* available"):
-        Resampler(60, split_height=1e-6).resample(soup, views(), HEIGHT, HEIGHT, 7, 10, 100)
+    with pytest.raises(InputError, match=r"longer than 0.0001 .* at least .* GiB of memory, .* available"):
+        resampler(60, split_height=1e-4).resample(soup, views(), HEIGHT, HEIGHT, 10)

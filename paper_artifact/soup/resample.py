@@ -1,16 +1,15 @@
 """Prune and split: the resampler, an object that the training loop calls and never looks into.
 
-Every `interval` steps: if the soup exceeds its budget, the least visible triangles go; then triangles with
-long screen-space edges are split (DiffSoup's resampling). Two hooks let an allocation prior (paper App. A)
-enter without touching the loop: `prune_weight` turns the visible-pixel counts into the order of pruning,
-`respawn` names triangles to halve at an unchanged final count. Strict budget parity: a resampling ends with
-exactly as many triangles as DiffSoup's own rule would leave of the same pruned soup.
+Every `resample_every` steps: if the soup exceeds its budget, the least visible triangles go; then triangles
+with long screen-space edges are split (DiffSoup's resampling). An allocation prior (paper App. A) changes the
+order of pruning and names triangles to halve at an unchanged final count. Strict budget parity: a resampling
+ends with exactly as many triangles as DiffSoup's own rule would leave of the same pruned soup.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,37 +24,60 @@ from paper_artifact.soup.state import Soup
 
 # of a triangle that splitting makes: 33 floats, their gradients and moments, two copies
 BYTES_PER_PIECE = 600
-# (corners (T,3,3), visible pixels (T,)) → priority (T,): the lowest goes first
-PruneWeight = Callable[[np.ndarray, np.ndarray], np.ndarray]
-# (corners (T,3,3), visible (T,) bool) → indices (k,) of the triangles to halve
-RespawnChoice = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-
-def _by_visibility(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return DiffSoup's order of pruning: the visible-pixel counts themselves."""
-    return counts
+Importance = Callable[[np.ndarray], np.ndarray]  # points (n,3), world → importance (n,) in [0, 1]
+QUANTILE = 0.9  # of the visible-pixel counts: what importance 1 is worth, times λ
+PRUNE_UNTIL, SPLIT_UNTIL = 0.955, 0.95  # fractions of the run's steps after which neither is done
 
 
 @dataclass(frozen=True)
 class Resampler:
-    """DiffSoup's prune-and-split."""
+    """DiffSoup's prune-and-split with a run's settings.
 
-    budget: int  # triangles kept by pruning
-    interval: int = 100  # steps between two resamplings
-    prune_until: float = 0.955  # fraction of the run's steps after which nothing is resampled
-    split_until: float = 0.95  # fraction of the run's steps after which nothing is split
-    split_views: int = 20  # views in which long edges are looked for
-    split_height: float = 0.2  # fraction of the image height above which an edge is long
-    strict: bool = False  # what splitting makes beyond the budget goes too, the least visible first
-    prune_weight: PruneWeight = _by_visibility  # hook: the order of pruning
-    respawn: RespawnChoice | None = None  # hook: which are halved whatever their size; None: none
+    strict: what splitting makes beyond the budget goes too, the least visible first; in the study's scenes
+    splitting exceeds the budget by 9 % at most, among photographs threefold (a triangle near a camera).
+    importance: for both levers of the run's allocation; None for neither. Raises InputError when the share
+    that is subdivided is less than one triangle of the budget.
+    """
 
-    def due(self, step: int, steps: int) -> bool:
-        """Return whether `step` (1-based) of `steps` ends with a resampling."""
-        return step % self.interval == 0 and step < self.prune_until * steps
+    config: RunConfig
+    strict: bool = False
+    importance: Importance | None = None
+
+    def __post_init__(self) -> None:
+        prior, budget = self.prior, self.config.budget
+        if self.importance is not None and prior.subdivided > 0 and round(prior.subdivided * budget) < 1:
+            raise InputError(
+                f"the budget of {budget} triangles is smaller than the protected share "
+                f"{prior.subdivided} asks for; raise the budget or set subdivided to 0"
+            )
+
+    @property
+    def prior(self) -> AllocationConfig:
+        """The strengths of the levers."""
+        return self.config.allocation or AllocationConfig()
+
+    def due(self, step: int) -> bool:
+        """Return whether `step` (1-based) ends with a resampling."""
+        return step % self.config.resample_every == 0 and step < PRUNE_UNTIL * self.config.steps
+
+    def order(self, corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Return the order of pruning (T,), the lowest goes first: the visible-pixel `counts` (T,), plus λ ·
+        Q.9(counts) · importance at the centroids of the `corners` (T,3,3)."""
+        if self.importance is None:
+            return counts
+        worth = self.prior.protection * np.quantile(counts, QUANTILE)
+        return counts + worth * self.importance(corners.mean(axis=1))
+
+    def halved(self, corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
+        """Return the indices (k,) of the triangles to halve whatever their size: the `visible` (T,) bool ones
+        of the highest importance at the centroids of their `corners` (T,3,3), ties by index."""
+        assert self.importance is not None
+        rows, count = np.flatnonzero(visible), round(self.prior.subdivided * self.config.budget)
+        values = self.importance(corners[rows].mean(axis=1))
+        return np.sort(rows[np.argsort(-values, kind="stable")[:count]])
 
     def resample(
-        self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, seed: int, step: int, steps: int
+        self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, step: int
     ) -> tuple[Soup, dict[str, int]]:
         """Return the resampled soup and its numbers of triangles: "before", "pruned" (after pruning) and
         "after" (splitting too); world_to_clip (n,4,4) are the training views, height and width their full
@@ -63,22 +85,23 @@ class Resampler:
 
         Raises InputError for a split that would take more memory than is available.
         """
-        before = len(soup)
+        config, before = self.config, len(soup)
         half = (max(height // 2, 1), max(width // 2, 1))
-        soup = self._pruned(soup, self.budget, world_to_clip, *half)
+        soup = self._pruned(soup, config.budget, world_to_clip, *half)
         pruned = len(soup)
-        if step < self.split_until * steps:
-            views = stream(seed, "split-views", step).permutation(len(world_to_clip))[: self.split_views]
+        if step < SPLIT_UNTIL * config.steps:
+            draws = stream(config.seed, "split-views", step)
+            views = draws.permutation(len(world_to_clip))[: config.split_views]
             split = self._split(soup, world_to_clip[views], *half)
             # the plain rule's count is the cap: halves displace the least worthy
-            if self.respawn is not None:
-                counts = visible_pixels(soup, world_to_clip, *half).sum(0)
-                halves, origins = bisected(_corners(soup), self.respawn(_corners(soup), counts > 0))
+            if self.importance is not None and self.prior.subdivided > 0:
+                corners, counts = _corners(soup), visible_pixels(soup, world_to_clip, *half).sum(0)
+                halves, origins = bisected(corners, self.halved(corners, counts > 0))
                 halved = soup.select(torch.from_numpy(origins), torch.from_numpy(halves))
                 more = self._split(halved, world_to_clip[views], *half)
                 if len(more) > len(split):
                     split = self._pruned(more, len(split), world_to_clip, *half)
-            soup = self._pruned(split, self.budget, world_to_clip, *half) if self.strict else split
+            soup = self._pruned(split, config.budget, world_to_clip, *half) if self.strict else split
         return soup, {"before": before, "pruned": pruned, "after": len(soup)}
 
     def _pruned(self, soup: Soup, count: int, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
@@ -86,7 +109,7 @@ class Resampler:
         if len(soup) <= count:
             return soup
         counts = visible_pixels(soup, world_to_clip, height, width).sum(0)
-        order = np.argsort(self.prune_weight(_corners(soup), counts), kind="stable")
+        order = np.argsort(self.order(_corners(soup), counts), kind="stable")
         return soup.select(torch.from_numpy(np.sort(order[len(soup) - count :])))
 
     def _split(self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> Soup:
@@ -94,10 +117,10 @@ class Resampler:
         corners = _corners(soup)
         origins = np.arange(len(corners))
         for matrix, wanted in zip(world_to_clip.astype(np.float64), visible, strict=True):
-            where = (wanted[origins], matrix, width / height, 2 * self.split_height)
+            where = (wanted[origins], matrix, width / height, 2 * self.config.split_height)
             require_memory(
                 BYTES_PER_PIECE * least_pieces(corners, *where),
-                f"splitting all edges longer than {self.split_height:g} of the image height",
+                f"splitting all edges longer than {self.config.split_height:g} of the image height",
                 "give a larger split_height",
             )
             corners, origins = split_long_edges(corners, origins, *where)
@@ -108,18 +131,6 @@ class Resampler:
 
 def _corners(soup: Soup) -> np.ndarray:
     return np.ascontiguousarray(soup.vertices.detach().cpu().numpy(), np.float32)
-
-
-def plain_resampler(config: RunConfig, strict: bool = False) -> Resampler:
-    """Return DiffSoup's own resampler with the run's settings. strict: see `Resampler`; in the study's scenes
-    splitting exceeds the budget by 9 % at most, among photographs threefold (a triangle near a camera)."""
-    return Resampler(
-        config.budget,
-        config.resample_every,
-        split_views=config.split_views,
-        split_height=config.split_height,
-        strict=strict,
-    )
 
 
 def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -133,50 +144,3 @@ def visible_pixels(soup: Soup, world_to_clip: np.ndarray, height: int, width: in
         return view.visible_pixels(len(soup))
 
     return np.stack(run_jobs(job, len(world_to_clip)))
-
-
-Importance = Callable[[np.ndarray], np.ndarray]  # points (n,3), world → importance (n,) in [0, 1]
-QUANTILE = 0.9  # of the visible-pixel counts: what importance 1 is worth, times λ
-
-
-def protective_order(importance: Importance, protection: float) -> PruneWeight:
-    """Return the prune order vis + λ · Q.9(vis) · importance at the triangles' centroids; protection: λ ≥
-    0."""
-
-    def order(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        worth = protection * np.quantile(counts, QUANTILE)
-        return counts + worth * importance(corners.mean(axis=1))
-
-    return order
-
-
-def most_important(importance: Importance, count: int) -> RespawnChoice:
-    """Return the choice of the `count` visible triangles of the highest importance at their centroids, ties
-    by index."""
-
-    def choice(corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
-        rows = np.flatnonzero(visible)
-        values = importance(corners[rows].mean(axis=1))
-        return np.sort(rows[np.argsort(-values, kind="stable")[:count]])
-
-    return choice
-
-
-def allocating_resampler(
-    config: RunConfig, allocation: AllocationConfig, importance: Importance
-) -> Resampler:
-    """Return the run's resampler with both levers of its allocation.
-
-    Raises InputError when the share that is subdivided is less than one triangle of the budget.
-    """
-    count = round(allocation.subdivided * config.budget)
-    if allocation.subdivided > 0 and count < 1:
-        raise InputError(
-            f"the budget of {config.budget} triangles is smaller than the protected share "
-            f"{allocation.subdivided} asks for; raise the budget or set subdivided to 0"
-        )
-    return replace(
-        plain_resampler(config),
-        prune_weight=protective_order(importance, allocation.protection),
-        respawn=most_important(importance, count) if count else None,
-    )

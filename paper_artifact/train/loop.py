@@ -23,7 +23,7 @@ from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.initialise import initial_soup
-from paper_artifact.soup.resample import Resampler, plain_resampler
+from paper_artifact.soup.resample import Resampler
 from paper_artifact.soup.state import Soup
 from paper_artifact.train.backend import Backend, backend_for
 from paper_artifact.train.state import (
@@ -76,7 +76,7 @@ def train(
     if len(scene.train) == 0:
         raise InputError(f"{scene.path} has no training views")
     backend = backend_for(device, scene, scene.train)
-    resampler = resampler or plain_resampler(config, strict=not scene.rendered)
+    resampler = resampler or Resampler(config, strict=not scene.rendered)
     state = resumed_state(checkpoint, config, term, backend) or start_state(
         scene, config, backend, importance
     )
@@ -101,16 +101,14 @@ def train(
             state.optimiser.step(learning_rates(config, float(scene.radius), step), units)
             state.check(loss, config)
         state.resampled = False
-        if resampler.due(step, config.steps):
+        if resampler.due(step):
             with state.timed("resample"):
                 views_of_all = scene.world_to_clip[scene.train]
                 height, width = scene.images.shape[2:]
                 soup = backend.to_host(state.soup)
                 if watch is not None:
                     watch.look(step, state.losses, soup)
-                soup, report = resampler.resample(
-                    soup, views_of_all, height, width, config.seed, step, config.steps
-                )
+                soup, report = resampler.resample(soup, views_of_all, height, width, step)
                 state.replace_soup(backend.to_device(soup))
                 state.resamplings.append({"step": step, **report})
         if evaluate is not None and step in config.dump_steps:
