@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from paper_artifact import results
-from paper_artifact.book import views
+from paper_artifact.book import build as module
 from paper_artifact.book.build import MENU, Pages, build, csv_text, items, read_chapter, write_figures
 from paper_artifact.book.main_result import PICTURE, main_runs, numbers, picture_numbers
 from paper_artifact.catalogue import shapes_of
@@ -51,7 +51,7 @@ def book(tmp_path_factory):
     """The book of the committed records; a small mesh replaces every ground truth, which would take long."""
     folder = tmp_path_factory.mktemp("book")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views, "surface", lambda shape: make_shape("cube"))
+        patch.setattr(module, "surface", lambda shape: make_shape("cube"))
         return folder, build(folder, executed=NOWHERE)
 
 
@@ -124,12 +124,12 @@ def test_eight_soups_and_more_are_shown_beside_their_ground_truth(book):
 
 def test_a_missing_ground_truth_is_said(tmp_path, monkeypatch):
     def fail(shape):
-        raise views.InputError("no mesh")
+        raise module.InputError("no mesh")
 
-    monkeypatch.setattr(views, "surface", fail)
+    monkeypatch.setattr(module, "surface", fail)
     tables = results.load()
     runs = main_runs(tables)
-    (view,) = views.write_views(tables, runs[runs["shape"] == "bob"], tmp_path)
+    (view,) = module.write_views(tables, runs[runs["shape"] == "bob"], tmp_path)
     assert "ground truth is not shown: no mesh" in view.note and len(view.arms) == 3
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from paper_artifact.book import views
+from paper_artifact.book import build as module
 from paper_artifact.book.build import build
 from paper_artifact.scene.shapes import make_shape
 
@@ -45,7 +45,7 @@ async function look(file) {
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
 def test_every_page_fits_a_telephone_and_says_nothing_on_the_console(tmp_path, monkeypatch):
-    monkeypatch.setattr(views, "surface", lambda shape: make_shape("cube"))
+    monkeypatch.setattr(module, "surface", lambda shape: make_shape("cube"))
     book = tmp_path / "book"
     build(book, executed=Path("/nowhere"))
     files = sorted(str(path.relative_to(book)) for path in book.rglob("*.html") if "api" not in path.parts)

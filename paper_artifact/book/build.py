@@ -17,19 +17,26 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import numpy as np
 import pandas as pd
 from markupsafe import Markup, escape
 from nbformat import NotebookNode
 
 from paper_artifact import __version__, results
+from paper_artifact.audit.marks import light_mesh
 from paper_artifact.book.main_result import main_frame, main_runs, picture_svg
-from paper_artifact.book.views import write_views
+from paper_artifact.catalogue import shape_row
 from paper_artifact.claims import FOLDER, MISSING, read_claims
 from paper_artifact.errors import InputError
+from paper_artifact.export.models import mesh_triangles, soup_triangles
+from paper_artifact.export.viewer import shape_viewpoint, write_html
 from paper_artifact.files import RESULTS, renewed_folder, write_bytes, write_text
+from paper_artifact.mesh import FEATURES
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
 from paper_artifact.pages import TEMPLATES, render
 from paper_artifact.results import PUBLISHED
+from paper_artifact.scene.shapes import surface
+from paper_artifact.soup.state import load_soup
 from paper_artifact.verdict import PARITY
 
 BOOK = RESULTS / "book"
@@ -43,6 +50,8 @@ MENU = (  # (name, file) of what every page leads to
     ("Python API", "api/index.html"),
 )
 API = ("alpha", "topology", "results", "verdict", "claims", "plot", "mesh", "certify", "catalogue", "config")
+SEED = 0  # whose soups are committed
+MOST = 40_000  # triangles of a ground truth in a page
 SHOWN = re.compile(r'\bshow\(\s*"([\w-]+)"')  # the key of a figure, as `plot.show` takes it
 
 
@@ -88,6 +97,16 @@ class Chapter:
     executed: bool  # whether the outputs were made on this machine; else they are the committed ones
 
 
+@dataclass(frozen=True)
+class View:
+    """One page of soups."""
+
+    shape: str
+    file: str  # its name in the folder soups/
+    arms: tuple[str, ...]  # "C1, 1 of 1 voids, tail .0071", in the order of the page
+    note: str  # what is missing, "" for nothing
+
+
 def build(
     folder: Path = BOOK,
     notebooks: Path = NOTEBOOKS,
@@ -117,9 +136,9 @@ def _build(
     main = main_runs(tables) if len(tables.runs) else tables.runs
     if len(main):
         write_text(folder / "figures" / "main_result.svg", picture_svg(main))
-    for name, frame in (("items", _item_frame(found)), ("claims", claims), ("runs", _scalars(tables.runs))):
+    frames = {"items": _item_frame(found), "claims": claims, "runs": _scalars(tables.runs)}
+    for name, frame in (frames | {"published": results.published()}).items():
         write_text(folder / "tables" / f"{name}.csv", csv_text(frame))
-    write_text(folder / "tables" / "published.csv", csv_text(results.published()))
     progress("soups")
     views = write_views(tables, main, folder / "soups") if len(main) else []
     progress("notebooks")
@@ -131,31 +150,23 @@ def _build(
             content = pages.notebook_body(chapter, pictures)
         figures.append((chapter, list(dict.fromkeys(pictures.values()))))
         file = f"notebooks/{chapter.name}.html"
-        pages.write("notebook.html", file, chapter.title, chapter=chapter, content=content)
+        pages.write(file, chapter.title, "notebook.html", chapter=chapter, content=content)
     progress("pages")
     no = claims[claims["holds"] == "no"]
-    frame = main_frame(main) if len(main) else None
-    front: dict[str, Any] = {
-        "items": found,
-        "views": views,
-        "parity": PARITY,
-        "main": frame,
-        "runs": tables.runs,
-    }
-    front |= {"words": Counter(item.word for item in found), "holds": Counter(claims["holds"])}
-    front |= {"differing": Counter(no["item"]).most_common(), "version": __version__}
     drawn_files = [file for _, files in figures for file in files]
+    front: dict[str, Any] = {"items": found, "views": views, "runs": tables.runs, "version": __version__}
+    front |= {"main": main_frame(main) if len(main) else None, "parity": PARITY}
+    front |= {"words": Counter(item.word for item in found), "holds": Counter(claims["holds"])}
+    front |= {"differing": Counter(no["item"]).most_common()}
     front["gallery"] = next((file for file in drawn_files if file.startswith("09_gallery_voids")), None)
     pages.write_style()
-    pages.write("index.html", "index.html", "Topology-aware triangle soups, reproduced", **front)
-    pages.write("items.html", "items.html", f"The paper's {len(found)} items", items=found)
-    differing = [(item, item.claims[item.claims["holds"] == "no"]) for item in found]
-    pages.write(
-        "differ.html", "differ.html", "Where we differ", items=[each for each in differing if len(each[1])]
-    )
-    pages.write("soups.html", "soups.html", "Final soups in three dimensions", views=views)
-    pages.write("figures.html", "figures.html", "Figures", groups=[each for each in figures if each[1]])
-    pages.write("notebooks.html", "notebooks.html", "Notebooks", chapters=chapters)
+    pages.write("index.html", "Topology-aware triangle soups, reproduced", **front)
+    pages.write("items.html", f"The paper's {len(found)} items", items=found)
+    differing = [(item, no[no["item"] == item.name]) for item in found]
+    pages.write("differ.html", "Where we differ", items=[each for each in differing if len(each[1])])
+    pages.write("soups.html", "Final soups in three dimensions", views=views)
+    pages.write("figures.html", "Figures", groups=[each for each in figures if each[1]])
+    pages.write("notebooks.html", "Notebooks", chapters=chapters)
     progress("reference")
     _write_reference(folder / "api")
     return found
@@ -167,14 +178,9 @@ def items(claims: pd.DataFrame) -> list[Item]:
         table = pd.read_csv(PUBLISHED / "items.csv", dtype=str, keep_default_na=False)
     except OSError as error:
         raise InputError(f"there is no items.csv in {PUBLISHED}; work in a checkout") from error
+    own = {name: claims[claims["item"] == name] for name in table["item"]}
     return [
-        Item(
-            row.item,
-            row.title,
-            tuple(row.notebooks.split()),
-            row.compared,
-            claims[claims["item"] == row.item],
-        )
+        Item(row.item, row.title, tuple(row.notebooks.split()), row.compared, own[row.item])
         for row in table.itertuples()
     ]
 
@@ -265,6 +271,36 @@ def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tu
     return names
 
 
+def write_views(tables: results.Results, runs: pd.DataFrame, folder: Path) -> list[View]:
+    """Write a page for every shape of `runs` that has a soup of seed 0, and return them in the order of the
+    catalogue. Where the ground truth is not available, the page shows the soups alone."""
+    made = []
+    for shape, own in runs[runs["seed"] == SEED].groupby("shape", observed=True):
+        kept = own[own["run"].map(lambda run: tables.soup_path(run).is_file())].sort_values("condition")
+        if not len(kept):
+            continue
+        parts, lines, note = {}, [], ""
+        try:
+            truth = surface(shape)
+            parts["ground truth"] = mesh_triangles(light_mesh(truth, MOST))
+            if len(truth.faces) > MOST:
+                note = f"The ground truth has {len(truth.faces)} triangles; a coarser copy is shown."
+        except InputError as error:
+            note = f"The ground truth is not shown: {error}."
+        for run in kept.itertuples():
+            name = f"{run.condition}, {run.count:.0f} of {run.expected:.0f} {FEATURES[run.dimension][1]}"
+            parts[name] = soup_triangles(load_soup(tables.soup_path(run.run)))
+            lines.append(f"{name}, tail {run.tail:.4f}")
+        missing = sorted(set(own["condition"]) - set(kept["condition"]))
+        note += f" No soup of {', '.join(missing)} is kept." if missing else ""
+        points = np.concatenate([each.visible().vertices.reshape(-1, 3) for each in parts.values()])
+        row = shape_row(shape)
+        view = None if row is None else shape_viewpoint(row, points)
+        write_html(folder / f"{shape}.html", parts, shape, view, ("../soups.html", "← the book"))
+        made.append(View(str(shape), f"{shape}.html", tuple(lines), note.strip()))
+    return made
+
+
 def _write_reference(folder: Path) -> None:
     """Write pdoc's pages of the modules `API` into `folder`."""
     import pdoc
@@ -308,10 +344,11 @@ class Pages:
             filters={"clean_html": partial(clean, tags=TAGS, attributes=ATTRIBUTES, strip=True)},
         )
 
-    def write(self, template: str, file: str, title: str, **content: Any) -> None:
-        """Write one page; `file` may lie one folder deeper. Raises InputError when it cannot be written."""
+    def write(self, file: str, title: str, template: str = "", **content: Any) -> None:
+        """Write one page; `file` may lie one folder deeper; template: where it is not called as the file.
+        Raises InputError when it cannot be written."""
         page = {"title": title, "menu": MENU, "here": file, "root": "../" * file.count("/")}
-        write_text(self.folder / file, render(template, **page, **content))
+        write_text(self.folder / file, render(template or file, **page, **content))
 
     def write_style(self) -> None:
         """Write the style sheet: the templates' own and the colours of code."""

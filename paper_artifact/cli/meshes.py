@@ -18,14 +18,7 @@ from paper_artifact.errors import InputError, quoted
 from paper_artifact.files import RESULTS, cut_name, load_json, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.randomness import stream
-from paper_artifact.scene.fetch import sources
-from paper_artifact.scene.shapes import SHAPES, find_mesh
-
-
-def _named() -> list[str]:
-    """Return the names that a mesh may be given by beside a file's."""
-    return [*SHAPES, *sources()]
-
+from paper_artifact.scene.shapes import find_mesh
 
 MESH = "a mesh file (any that trimesh reads), the key of an external mesh, or an analytic shape"
 # Colours of the loops around handles and around holes, in turn, and of voids.

@@ -4,7 +4,6 @@ the paper says.
 
 from __future__ import annotations
 
-import csv
 import json
 from collections import Counter
 from collections.abc import Iterable
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.errors import InputError
@@ -38,20 +38,15 @@ def candidates() -> dict[str, tuple[str, str]]:
     """Return {key: (the paper's certificate, its decision)}. Raises InputError when the published table
     cannot be read."""
     try:
-        with open(TABLE, newline="", encoding="utf-8") as handle:
-            rows = list(csv.DictReader(handle))
+        table = pd.read_csv(TABLE, dtype=str, keep_default_na=False)
     except OSError as error:
         raise InputError(
             f"cannot read {TABLE}: {error.strerror}; work in a checkout of the repository"
         ) from error
     found = {}
-    for row in rows:
-        why = (
-            f" (g{row['genus']})"
-            if row["certificate"] == "pass"
-            else f": {row['reason'].replace('chi', 'χ')}"
-        )
-        found[row["shape"]] = row["certificate"] + why, row["decision"] or "-"
+    for row in table.itertuples():
+        why = f" (g{row.genus})" if row.certificate == "pass" else f": {row.reason.replace('chi', 'χ')}"
+        found[row.shape] = row.certificate + why, row.decision or "-"
     return found
 
 

@@ -127,16 +127,16 @@ def repair(
         value.backward()
         adam.step()
         decay.step()
-    table = np.array(rows)
+    taken, bottleneck, significant_bars, value, recruited = np.array(rows).T
     return Trajectory(
-        name=probe.name,
-        steps=table[:, 0].astype(int),
-        bottleneck=table[:, 1],
-        significant=table[:, 2].astype(int),
-        loss=table[:, 3],
-        recruited=table[:, 4].astype(int),
-        start=probe.start,
-        final=points.detach().numpy().copy(),
+        probe.name,
+        taken.astype(int),
+        bottleneck,
+        significant_bars.astype(int),
+        value,
+        recruited.astype(int),
+        probe.start,
+        points.detach().numpy().copy(),
     )
 
 
