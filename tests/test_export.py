@@ -28,14 +28,7 @@ from paper_artifact.export.models import (
     write_glb,
     write_ply,
 )
-from paper_artifact.export.viewer import (
-    framing,
-    html_page,
-    scene_viewpoint,
-    shape_viewpoint,
-    up_of,
-    write_html,
-)
+from paper_artifact.export.viewer import framing, html_page, scene_viewpoint, up_of
 from paper_artifact.mesh import Mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import look_at, world_to_clip
@@ -118,15 +111,11 @@ def test_baked_colour_survives_a_triangle_without_area():
     assert np.isfinite(soup_triangles(soup).colours).all()
 
 
-def test_html_holds_the_triangles_and_asks_nothing_of_the_network(tmp_path):
+def test_html_holds_the_triangles_and_asks_nothing_of_the_network():
     triangles = random_triangles()
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), "one")
-    write_html(
-        tmp_path / "view.html",
-        {"</script> soup": triangles, "ground truth": mesh_triangles(mesh)},
-        "A <b>title</b>",
-    )
-    text = (tmp_path / "view.html").read_text(encoding="utf-8")
+    parts = {"</script> soup": triangles, "ground truth": mesh_triangles(mesh)}
+    text = html_page(parts, "A <b>title</b>")
     assert not re.search(r"https?://|src=|@import|@DATA@|@TITLE@|@BACK@|<a ", text)
     assert "A &lt;b&gt;title" in text and text.count("</script>") == 2
     data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.S).group(1))
@@ -224,7 +213,7 @@ def test_the_view_opens_where_it_is_told():
         page = html_page({"soup": triangles}, "t", viewpoint)
         return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.S).group(1))
 
-    plain, shape = data(None), data(shape_viewpoint(row, points))
+    plain, shape = data(None), data(framing(points, row.view, row.up))
     assert plain["up"] == [0, 0, 1] and shape["up"] == list(row.up)
     away = np.subtract(shape["eye"], shape["target"])
     np.testing.assert_allclose(away / np.linalg.norm(away), row.view / np.linalg.norm(row.view), atol=1e-6)

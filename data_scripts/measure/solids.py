@@ -20,8 +20,9 @@ from common import Clock, options, write
 
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.certify.certificate import certify_mesh
-from paper_artifact.export.solid import distances_to, solidify_soup
-from paper_artifact.ingest.solidify import Rung, Wanted, wanted_of
+from paper_artifact.export.models import soup_triangles
+from paper_artifact.export.solid import distances_to, opaque_mesh, solidify_soup
+from paper_artifact.ingest.solidify import CELLS, OFFSETS, Rung, Wanted, outer_surface, wanted_of
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import record_path
 from paper_artifact.results import RETRAINED
@@ -50,15 +51,20 @@ def soups_of(folder: Path | None) -> Iterator[tuple[str, str, Path]]:
 
 def rows_of(shape: str, file: Path) -> pd.DataFrame:
     """Return one row per offset tried on a soup."""
-    wanted = wanted_of(betti_of(shape))
+    soup, wanted = load_soup(file), wanted_of(betti_of(shape))
+    opaque, rungs = opaque_mesh(soup_triangles(soup), shape), list[Rung]()
+    for offset in OFFSETS[::-1]:
+        rungs.append(outer_surface(opaque, offset, CELLS)[0])
+        if enough(rungs, wanted):
+            break
     with Clock() as clock:
-        solid = solidify_soup(load_soup(file), betti_of(shape), enough=lambda rungs: enough(rungs, wanted))
+        solid = solidify_soup(soup, betti_of(shape), [rung.offset for rung in rungs])
     rows = []
-    for rung in solid.rungs:
+    for rung in rungs[::-1]:
         names = dict(zip(("b0", "b1", "b2"), rung.betti, strict=True))
         row = {"offset": rung.offset, **names, "genus": rung.genus, "inside": rung.inside}
-        row |= {"triangles": rung.triangles, "meets": rung.meets(wanted), "taken": rung is solid.rung}
-        if rung is solid.rung and solid.mesh is not None and solid.moved is not None:
+        row |= {"triangles": rung.triangles, "meets": rung.meets(wanted), "taken": rung == solid.rung}
+        if rung == solid.rung and solid.mesh is not None and solid.moved is not None:
             found = distances_to(solid.mesh, surface(shape))
             row |= {name: found[name] for name in ("chamfer", "hausdorff95")}
             row |= {"moved": solid.moved.mean(), "crossings": solid.crossings, "seconds": clock.cpu}

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import Delaunay, QhullError
 
-from paper_artifact.alpha.persistence import Pairs, alpha_persistence
-from paper_artifact.export.models import STONE, Triangles, mesh_triangles
+from paper_artifact.alpha.persistence import alpha_filtration, alpha_persistence
+from paper_artifact.export.models import Triangles, mesh_triangles, plain_triangles
 from paper_artifact.mesh import Mesh, weld
 
 MOST = 8  # marks per dimension
@@ -37,11 +34,6 @@ class Mark:
     centre: np.ndarray  # (3,) float64, world units: of the ball around the simplex that ends it
     radius: float  # of that ball: the death, world units
 
-    @property
-    def measurable(self) -> bool:
-        """Whether the bar is significant."""
-        return self.margin > 1
-
 
 def find_marks(points: np.ndarray, floor: float, expected: Sequence[int]) -> tuple[Mark, ...]:
     """Return the marks of the significant bars of `points` (M,3) float64, world units, longest first.
@@ -49,7 +41,7 @@ def find_marks(points: np.ndarray, floor: float, expected: Sequence[int]) -> tup
     floor: a length in world units. Where fewer bars of a dimension are significant than `expected` (three
     counts), the next longest are marked too. At most MOST a dimension.
     """
-    marks = []
+    marks, filtration = [], alpha_filtration(points)
     for dimension, pairs in enumerate(alpha_persistence(points)):
         lengths = pairs.deaths - pairs.births
         count = min(max(int((lengths > floor).sum()), expected[dimension]), MOST)
@@ -59,32 +51,12 @@ def find_marks(points: np.ndarray, floor: float, expected: Sequence[int]) -> tup
             if dimension == 0:
                 line = death
             elif dimension == 1:
-                line = _cycle(points, pairs, int(row))
+                loop = filtration.shortest_loop(pairs.birth_simplices[row])
+                line = points[np.append(loop, loop[0])]
             marks.append(
                 Mark(dimension, float(lengths[row] / floor), line, _centre(death), float(pairs.deaths[row]))
             )
     return tuple(marks)
-
-
-def _cycle(points: np.ndarray, pairs: Pairs, row: int) -> np.ndarray:
-    """Return a closed path (n,3) of a loop, world units; its birth edge alone where no way back is found."""
-    first, last = pairs.birth_simplices[row]
-    # Steps of at most the birth's diameter stay within the union of balls of that radius: the alpha complex
-    # has its homotopy type. All its edges are Delaunay's.
-    try:
-        cells = Delaunay(points, qhull_options="QJ").simplices
-    except QhullError:
-        return points[[first, last]]
-    edges = np.unique(np.sort(cells[:, np.array(np.triu_indices(4, 1)).T].reshape(-1, 2)), axis=0)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    kept = (lengths <= 2 * pairs.births[row] * (1 + 1e-9)) & ~(edges == (first, last)).all(axis=1)
-    shape = (len(points), len(points))
-    graph = coo_matrix((lengths[kept], edges[kept].T), shape)
-    _, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    path = [int(last)]
-    while path[-1] != first and before[path[-1]] >= 0:
-        path.append(int(before[path[-1]]))
-    return points[[*path, int(last)]] if path[-1] == first else points[[first, last]]
 
 
 def _centre(corners: np.ndarray) -> np.ndarray:
@@ -92,11 +64,6 @@ def _centre(corners: np.ndarray) -> np.ndarray:
     sides = corners[1:] - corners[0]
     weights = np.linalg.lstsq(2 * sides @ sides.T, (sides**2).sum(axis=1), rcond=None)[0]
     return corners[0] + weights @ sides
-
-
-def colour_of_mark(rank: int) -> str:
-    """Return the colour (#rrggbb) of the mark number `rank`."""
-    return COLOURS[rank % len(COLOURS)]
 
 
 def view_parts(mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOURS) -> dict[str, Triangles]:
@@ -111,14 +78,14 @@ def view_parts(mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOU
     for rank, mark in enumerate(marks):
         colour = tuple(int(colours[rank % len(colours)][i : i + 2], 16) / 255 for i in (1, 3, 5))
         if len(mark.line):
-            tubes.append(_coloured(_tube(mark.line, THICKNESS * mesh.diagonal), colour))
+            tubes.append(plain_triangles(_tube(mark.line, THICKNESS * mesh.diagonal), colour))
         if mark.dimension == 2:
             ball = trimesh.creation.icosphere(subdivisions=3, radius=0.97 * mark.radius)
-            balls.append(_coloured((ball.vertices + mark.centre)[ball.faces], colour))
+            balls.append(plain_triangles((ball.vertices + mark.centre)[ball.faces], colour))
     middle = surface.vertices.mean(axis=1, keepdims=True)
     shrunk = middle + SHRUNK * (surface.vertices - middle)
     parts = {"on the mesh": _joined([surface, *tubes])} if tubes else {"mesh": surface}
-    return parts | {"seen through": _joined([_coloured(shrunk, STONE), *tubes, *balls])}
+    return parts | {"seen through": _joined([plain_triangles(shrunk), *tubes, *balls])}
 
 
 def _tube(line: np.ndarray, radius: float) -> np.ndarray:
@@ -129,12 +96,6 @@ def _tube(line: np.ndarray, radius: float) -> np.ndarray:
             tube = trimesh.creation.cylinder(radius, segment=[start, end], sections=6)
             triangles.append(np.asarray(tube.vertices)[tube.faces])
     return np.concatenate(triangles) if triangles else np.zeros((0, 3, 3))
-
-
-def _coloured(vertices: np.ndarray, colour: tuple[float, ...]) -> Triangles:
-    vertices = vertices.astype(np.float32)
-    colours = np.broadcast_to(np.array(colour, np.float32), vertices.shape).copy()
-    return Triangles(vertices, colours, np.ones(vertices.shape[:2], dtype=np.float32))
 
 
 def _joined(parts: Sequence[Triangles]) -> Triangles:

@@ -8,7 +8,7 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from paper_artifact.audit.marks import colour_of_mark, light_mesh, view_parts
+from paper_artifact.audit.marks import COLOURS, light_mesh, view_parts
 from paper_artifact.audit.measure import Audit
 from paper_artifact.audit.rule import NAMES, counted
 from paper_artifact.certify.certificate import certificate_text, verdict_text
@@ -75,9 +75,9 @@ def _mark_lines(audit: Audit) -> list[tuple[str, str]]:
     for rank, mark in enumerate(audit.marks):
         numbers[mark.dimension] += 1
         what = ("gap before component", "loop", "void")[mark.dimension]
-        word = "measurable" if mark.measurable else "too short to be measured"
+        word = "measurable" if mark.margin > 1 else "too short to be measured"
         text = f"{what} {numbers[mark.dimension]}: {mark.margin:.2f} of the floor, {word}"
-        lines.append((colour_of_mark(rank), text))
+        lines.append((COLOURS[rank % len(COLOURS)], text))
     return lines
 
 

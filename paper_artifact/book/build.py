@@ -29,7 +29,7 @@ from paper_artifact.catalogue import shape_row
 from paper_artifact.claims import FOLDER, MISSING, read_claims
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import mesh_triangles, soup_triangles
-from paper_artifact.export.viewer import shape_viewpoint, write_html
+from paper_artifact.export.viewer import framing, html_page
 from paper_artifact.files import RESULTS, renewed_folder, write_bytes, write_text
 from paper_artifact.mesh import FEATURES
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
@@ -295,8 +295,9 @@ def write_views(tables: results.Results, runs: pd.DataFrame, folder: Path) -> li
         note += f" No soup of {', '.join(missing)} is kept." if missing else ""
         points = np.concatenate([each.visible().vertices.reshape(-1, 3) for each in parts.values()])
         row = shape_row(shape)
-        view = None if row is None else shape_viewpoint(row, points)
-        write_html(folder / f"{shape}.html", parts, shape, view, ("../soups.html", "← the book"))
+        view = None if row is None else framing(points, row.view, row.up)
+        page = html_page(parts, shape, view, ("../soups.html", "← the book"))
+        write_text(folder / f"{shape}.html", page)
         made.append(View(str(shape), f"{shape}.html", tuple(lines), note.strip()))
     return made
 

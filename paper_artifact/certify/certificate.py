@@ -211,42 +211,37 @@ def _reasons(
     dual: int | None,
     with_boundary: bool,
 ) -> list[str]:
-    reasons = []
-    if numbers["open_edges"] and not with_boundary:
-        reasons.append(
-            f"{_count(numbers['open_edges'], 'open edge')} in "
-            f"{_count(numbers['boundary_loops'], 'boundary loop')}"
-        )
-    if numbers["nonmanifold_edges"]:
-        reasons.append(
-            f"non-manifold: {_count(numbers['nonmanifold_edges'], 'edge')} with more than two faces"
-        )
-    if numbers["pinched_vertices"]:
-        reasons.append(
-            f"{_count(numbers['pinched_vertices'], 'pinched vertex', 'pinched vertices')} "
-            "(faces in more than one fan)"
-        )
-    if repeated := int(checks.duplicate_faces.sum()):
-        reasons.append(f"{_count(repeated, 'duplicate face')}")
+    loops = _count(numbers["boundary_loops"], "boundary loop")
+    crowded = _count(numbers["nonmanifold_edges"], "edge")
+    pinched = _count(numbers["pinched_vertices"], "pinched vertex", "pinched vertices")
+    repeated, twisted = int(checks.duplicate_faces.sum()), int((~checks.orientable).sum())
     odd = [
         each.euler
-        for each, repeated in zip(components, checks.duplicate_faces, strict=True)
-        if each.euler % 2 and each.open_edges == 0 and not repeated
+        for each, times in zip(components, checks.duplicate_faces, strict=True)
+        if each.euler % 2 and each.open_edges == 0 and not times
     ]
-    if odd:
-        reasons.append(
-            f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary"
-        )
-    if not checks.orientable.all():
-        reasons.append(f"not orientable ({_count(int((~checks.orientable).sum()), 'component')})")
-    elif numbers["reversed_edges"]:
-        reasons.append(f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}")
-    if any(each.expected not in (None, each.betti) for each in components) or dual not in (None, betti[2]):
-        reasons.append(
+    unlike = any(each.expected not in (None, each.betti) for each in components)
+    reasons = [
+        (
+            numbers["open_edges"] and not with_boundary,
+            f"{_count(numbers['open_edges'], 'open edge')} in {loops}",
+        ),
+        (numbers["nonmanifold_edges"], f"non-manifold: {crowded} with more than two faces"),
+        (numbers["pinched_vertices"], f"{pinched} (faces in more than one fan)"),
+        (repeated, _count(repeated, "duplicate face")),
+        (odd, f"odd Euler characteristic χ = {', '.join(map(str, odd[:4]))} of a component without boundary"),
+        (twisted, f"not orientable ({_count(twisted, 'component')})"),
+        (
+            numbers["reversed_edges"] and not twisted,
+            f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}",
+        ),
+        (
+            unlike or dual not in (None, betti[2]),
             "homology and Euler characteristic disagree: "
-            "please report this mesh, it is a fault of the certificate"
-        )
-    return reasons
+            "please report this mesh, it is a fault of the certificate",
+        ),
+    ]
+    return [text for holds, text in reasons if holds]
 
 
 def _notes(checks: SurfaceChecks, components: list[Component], collapsed: int) -> list[str]:
@@ -315,8 +310,8 @@ def verdict_text(certificate: Certificate) -> str:
     """Return the verdict in a few words: PASS, PASS as a surface with boundary (how open), or FAIL."""
     if not certificate.passed or certificate.closed:
         return certificate.verdict.upper()
-    loops = certificate.boundary_loops
-    return f"PASS as a surface with boundary ({loops} boundary loop{'s' * (loops != 1)}; not closed)"
+    loops = _count(certificate.boundary_loops, "boundary loop")
+    return f"PASS as a surface with boundary ({loops}; not closed)"
 
 
 def certificate_text(certificate: Certificate) -> str:

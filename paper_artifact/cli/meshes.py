@@ -107,7 +107,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.audit.marks import Mark, light_mesh, view_parts
     from paper_artifact.certify.certificate import verdict_text
     from paper_artifact.export.models import write_ply
-    from paper_artifact.export.viewer import framing, up_of, write_html
+    from paper_artifact.export.viewer import framing, html_page, up_of
     from paper_artifact.ingest.handles import HANDLE, HOLE, find_loops, find_voids
     from paper_artifact.ingest.solidify import write_shell
     from paper_artifact.ingest.surgery import cut_and_capped
@@ -145,7 +145,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         if options.where.suffix == ".html":
             told = ", ".join(f"{what} {number} ({colour})" for what, number, colour, *_ in rows[:MOST_TOLD])
             seen = framing(mesh.vertices, up=up_of(options.mesh))
-            write_html(options.where, parts, f"{mesh.name}: {told}", seen)
+            write_text(options.where, html_page(parts, f"{mesh.name}: {told}", seen))
         else:
             write_ply(options.where, parts["seen through"])
         print(options.where)

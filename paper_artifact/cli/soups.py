@@ -15,7 +15,7 @@ from paper_artifact.cli.output import next_command, to_string
 from paper_artifact.cli.reading import ReadingOptions
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
-from paper_artifact.files import RESULTS, renewed_folder
+from paper_artifact.files import RESULTS, renewed_folder, write_text
 from paper_artifact.mesh import FEATURES
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def exported(options: Export) -> list[Path]:
     """Write the files and return their paths."""
     from paper_artifact.export.flat import orbit_renders, scene_renders, sheet, write_png
     from paper_artifact.export.models import mesh_triangles, soup_triangles, write_glb, write_ply
-    from paper_artifact.export.viewer import write_html
+    from paper_artifact.export.viewer import html_page
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.shapes import find_mesh
     from paper_artifact.soup.state import load_frame, load_soup
@@ -233,7 +233,7 @@ def exported(options: Export) -> list[Path]:
         if options.target is not None:
             parts["ground truth"] = mesh_triangles(find_mesh(options.target).framed(frame))
         viewpoint = _viewpoint(options, triangles, settings)
-        files["html"] = lambda path: write_html(path, parts, file.stem, viewpoint)
+        files["html"] = lambda path: write_text(path, html_page(parts, file.stem, viewpoint))
     if "png" in options.formats:
         if options.scene is None:
             rows = [orbit_renders(soup, options.views, options.size)]
@@ -253,7 +253,7 @@ def exported(options: Export) -> list[Path]:
 def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint:
     """Where the HTML view opens: at the first camera, as the study shows that shape, or from above."""
     from paper_artifact.catalogue import SHAPES
-    from paper_artifact.export.viewer import framing, scene_viewpoint, shape_viewpoint, up_of
+    from paper_artifact.export.viewer import framing, scene_viewpoint, up_of
     from paper_artifact.scene.load import load_scene
 
     if options.scene is not None:
@@ -261,7 +261,7 @@ def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) 
     row = next((each for each in SHAPES if each.name == options.target), None)
     points = triangles.visible().vertices.reshape(-1, 3)
     return (
-        shape_viewpoint(row, points)
+        framing(points, row.view, row.up)
         if row
         else framing(points, up=up_of(options.target or Path(options.soup).name))
     )

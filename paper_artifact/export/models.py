@@ -78,9 +78,13 @@ def soup_triangles(soup: Soup) -> Triangles:
 
 def mesh_triangles(mesh: Mesh) -> Triangles:
     """Return a mesh's faces as opaque triangles of the colour STONE."""
-    vertices = np.asarray(mesh.vertices, dtype=np.float32)[mesh.faces]
-    colours = np.broadcast_to(np.array(STONE, np.float32), vertices.shape).copy()
-    return Triangles(vertices, colours, np.ones(vertices.shape[:2], dtype=np.float32))
+    return plain_triangles(np.asarray(mesh.vertices)[mesh.faces])
+
+
+def plain_triangles(corners: np.ndarray, colour: tuple[float, ...] = STONE) -> Triangles:
+    """Return opaque triangles of corners (T,3,3), world units, and one colour, sRGB in [0,1]."""
+    colours = np.broadcast_to(np.array(colour, np.float32), corners.shape).copy()
+    return Triangles(corners.astype(np.float32), colours, np.ones(corners.shape[:2], dtype=np.float32))
 
 
 def write_ply(path: Path | str, triangles: Triangles, frame: Frame = SAME) -> None:
@@ -113,7 +117,7 @@ def glb_bytes(mesh: trimesh.Trimesh, frame: Frame = SAME) -> bytes:
         placed[:3, 3] = frame.offset
         scene = trimesh.Scene()
         scene.add_geometry(mesh, transform=placed)
-    return export_glb(scene, include_normals=False, tree_postprocessor=unlit)
+    return export_glb(scene, include_normals=False, tree_postprocessor=_unlit)
 
 
 def ply_bytes(mesh: trimesh.Trimesh, frame: Frame = SAME) -> bytes:
@@ -154,7 +158,7 @@ def _trimesh(triangles: Triangles, colours: np.ndarray, opacity: np.ndarray) -> 
     )
 
 
-def unlit(tree: dict) -> None:
+def _unlit(tree: dict) -> None:
     """Give every primitive of a glTF tree one unlit, double-sided material, in place: a soup has no inside,
     its colours hold their light.
     """

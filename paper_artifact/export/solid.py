@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,9 @@ from paper_artifact.ingest.crossings import retract
 from paper_artifact.ingest.solidify import (
     CELLS,
     OFFSETS,
-    OuterSurface,
     Rung,
     Wanted,
     check_ladder,
-    climb,
     outer_surface,
     plateau,
     wanted_of,
@@ -85,7 +83,7 @@ class SoupSolid:
             "stated": self.lasting is None,
             "diagonal": math.ldexp(self.diagonal, self.frame.exponent),
             "holes": list(self.holes),
-            "offsets": [rung.to_json() for rung in self.rungs],
+            "offsets": [asdict(rung) for rung in self.rungs],
             "solid": found or None,
         }
 
@@ -103,23 +101,19 @@ def solidify_soup(
     offsets: Iterable[float] = OFFSETS,
     cells: float = CELLS,
     name: str = "soup",
-    progress: Callable[[Rung], None] | None = None,
-    enough: Callable[[Sequence[Rung]], bool] | None = None,
+    progress: Callable[[Rung], None] = lambda rung: None,
     frame: Frame = SAME,
 ) -> SoupSolid:
     """Return the SoupSolid of a trained soup.
 
     betti: of the surface, see `wanted_of`; None takes the plateau, if it lasts over a third of the ladder.
     offsets: fractions of the opaque soup's diagonal; cells: grid cells per offset. Where betti is stated the
-    smallest offset is tried first and the first that meets it is the last. progress is called with each rung;
-    with `enough`, which is called with the rungs so far, the largest is tried first, until it is true. frame:
-    of the soup's coordinates.
+    smallest offset is tried first and the first that meets it is the last. progress is called with each rung.
+    frame: of the soup's coordinates.
     Raises InputError for what cannot be wanted, bad offsets, and as `opaque_mesh` does.
     """
     shown = soup_triangles(soup).visible()
-    return _solid_of(
-        opaque_mesh(shown, name), shown.colours, betti, offsets, cells, name, progress, enough, frame
-    )
+    return _solid_of(opaque_mesh(shown, name), shown.colours, betti, offsets, cells, progress, frame)
 
 
 def solidify_mesh(
@@ -138,7 +132,7 @@ def solidify_mesh(
     if betti is None or wanted_of(betti).body:
         raw, across = without_holes(raw, WIDEST * raw.diagonal)
     colours = np.full((len(raw.faces), 3, 3), GREY, dtype=np.float32)
-    solid = _solid_of(raw, colours, betti, offsets, cells, mesh.name, progress, None, frame)
+    solid = _solid_of(raw, colours, betti, offsets, cells, progress, frame)
     return replace(solid, holes=tuple(each / raw.diagonal for each in across))
 
 
@@ -148,25 +142,22 @@ def _solid_of(
     betti: Sequence[int] | None,
     offsets: Iterable[float],
     cells: float,
-    name: str,
-    progress: Callable[[Rung], None] | None,
-    enough: Callable[[Sequence[Rung]], bool] | None,
+    progress: Callable[[Rung], None],
     frame: Frame,
 ) -> SoupSolid:
     """Return the SoupSolid of a raw mesh (F triangles) with the colours (F,3,3) of its corners."""
     wanted = None if betti is None else wanted_of(betti)
     ladder, lasting = check_ladder(offsets, cells), None
     rungs: list[Rung] = []
-    kept: dict[float, OuterSurface] = {}  # the first that meets it, by its offset
-    for rung, surface in climb(raw, ladder if enough is None else ladder[::-1], cells):
+    kept: dict[float, Mesh] = {}  # the first surface that meets it, by its offset
+    for offset in ladder:
+        rung, surface = outer_surface(raw, offset, cells)
         rungs.append(rung)
-        if progress is not None:
-            progress(rung)
+        progress(rung)
         if wanted is not None and rung.meets(wanted):
-            kept = kept or {rung.offset: surface}
-        if enough(rungs) if enough is not None else kept and wanted is not None and rung.sure(wanted):
+            kept = kept or {offset: surface}
+        if kept and wanted is not None and rung.sure(wanted):
             break
-    rungs.sort(key=lambda rung: rung.offset)
     if wanted is None:
         longest, lasting = plateau(rungs)
         wanted = Wanted(longest, any(rung.meets(Wanted(longest, True)) for rung in rungs))
@@ -177,25 +168,23 @@ def _solid_of(
         if not rung.meets(wanted):
             continue
         epsilon = rung.offset * raw.diagonal
-        surface = kept.get(rung.offset) or outer_surface(raw, epsilon, epsilon / cells)
-        shell = surface.shell()
-        back = retract(shell, raw.vertices[raw.faces], epsilon + surface.cell)
-        certificate = certify_mesh(back.mesh)
-        if not (certificate.passed and certificate.betti == rung.betti):
-            back = replace(back, mesh=shell, moved=np.zeros(len(shell.vertices)), crossings=None)
-            certificate = certify_mesh(shell)
-        if not (certificate.passed and certificate.betti == rung.betti):
-            continue
-        blended = np.einsum("ij,ijk->ik", back.nearest.weights, colours[back.nearest.triangle])
-        return replace(
-            result,
-            rung=rung,
-            mesh=replace(back.mesh, name=f"{name} solid", betti=certificate.betti),
-            colours=blended.astype(np.float32),
-            moved=back.moved,
-            crossings=back.crossings,
-            certificate=certificate,
-        )
+        surface = kept.get(rung.offset) or outer_surface(raw, rung.offset, cells)[1]
+        shell = checked_mesh(surface.vertices, surface.faces, surface.name)
+        back = retract(shell, raw.vertices[raw.faces], epsilon + epsilon / cells)
+        left = replace(back, mesh=shell, moved=np.zeros(len(shell.vertices)), crossings=None)
+        for made in (back, left):
+            certificate = certify_mesh(made.mesh)
+            if certificate.passed and certificate.betti == rung.betti:
+                blended = np.einsum("ij,ijk->ik", made.nearest.weights, colours[made.nearest.triangle])
+                return replace(
+                    result,
+                    rung=rung,
+                    mesh=replace(made.mesh, name=f"{raw.name} solid", betti=certificate.betti),
+                    colours=blended.astype(np.float32),
+                    moved=made.moved,
+                    crossings=made.crossings,
+                    certificate=certificate,
+                )
     return result
 
 

@@ -8,14 +8,12 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from paper_artifact.catalogue import Shape, shape_row
+from paper_artifact.catalogue import shape_row
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import Triangles
-from paper_artifact.files import write_text
 from paper_artifact.pages import render
 from paper_artifact.scene.load import Scene
 
@@ -55,11 +53,6 @@ def up_of(file: str | None) -> Vector:
     return (0.0, 1.0, 0.0) if re.search(r"\.(obj|glb|gltf)(-|$)", str(file).lower()) else UP
 
 
-def shape_viewpoint(shape: Shape, points: np.ndarray) -> Viewpoint:
-    """Return the viewpoint that frames the points as the study's pictures of that shape do."""
-    return framing(points, shape.view, shape.up)
-
-
 def scene_viewpoint(scene: Scene) -> Viewpoint:
     """Return the scene's first training camera, turning around the point of its optical axis at the median
     depth of the SfM cloud, about the mean of all cameras' upward directions."""
@@ -84,32 +77,21 @@ def _vector(values: Sequence[float] | np.ndarray) -> Vector:
 MOST_TRIANGLES = 400_000  # about 25 MB of HTML
 
 
-def write_html(
-    path: Path | str,
-    parts: Mapping[str, Triangles],
-    title: str,
-    viewpoint: Viewpoint | None = None,
-    back: tuple[str, str] | None = None,
-) -> None:
-    """Write a page that shows `parts` (name → triangles, world units) side by side, turning together, or one
-    of them alone.
-
-    viewpoint: where it is first seen from (default: all of it, from above one side, z upwards); back:
-    address and words of a link to where the page belongs. Drag to orbit, wheel or pinch to zoom, double click
-    to reset; "light" is a headlight, "colours" shows the triangles' own instead of one grey. Triangles of
-    mean opacity below .5 are left out. Raises InputError for no parts, a part that is empty or not finite,
-    more triangles than a page can hold, or a path that is not writable.
-    """
-    write_text(path, html_page(parts, title, viewpoint, back))
-
-
 def html_page(
     parts: Mapping[str, Triangles],
     title: str,
     viewpoint: Viewpoint | None = None,
     back: tuple[str, str] | None = None,
 ) -> str:
-    """Return the page of `write_html` as text."""
+    """Return a page that shows `parts` (name → triangles, world units) side by side, turning together, or one
+    of them alone.
+
+    viewpoint: where it is first seen from (default: all of it, from above one side, z upwards); back:
+    address and words of a link to where the page belongs. Drag to orbit, wheel or pinch to zoom, double click
+    to reset; "light" is a headlight, "colours" shows the triangles' own instead of one grey. Triangles of
+    mean opacity below .5 are left out. Raises InputError for no parts, a part that is empty or not finite,
+    or more triangles than a page can hold.
+    """
     shown = {name: triangles.visible() for name, triangles in parts.items()}
     if not shown:
         raise InputError("a 3-D view needs at least one set of triangles")

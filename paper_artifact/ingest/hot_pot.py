@@ -39,7 +39,6 @@ class RawPot:
 
     vertices: np.ndarray  # (V,3) float64, model units
     polygons: tuple[tuple[int, ...], ...]  # vertex indices of each, 4 or 12
-    shell: np.ndarray  # (len(polygons),) int64, 0..8
 
     def mesh(self) -> Mesh:
         """Return the pot as a Mesh: polygons split by the fan 0–2, points not welded."""
@@ -71,15 +70,12 @@ def raw_pot() -> RawPot:
         _handle(np.pi),
         _revolve([(RIM_RADIUS, RIM_HEIGHT), (0.425, 0.21), (0.415, 0.175), (0.355, 0.165)], AROUND),
     ]
-    vertices: list[np.ndarray] = []
     polygons: list[tuple[int, ...]] = []
-    owner: list[int] = []
-    for number, (points, faces) in enumerate(shells):
-        start = sum(len(each) for each in vertices)
-        vertices.append(points)
+    start = 0
+    for points, faces in shells:
         polygons += [tuple(start + i for i in face) for face in faces]
-        owner += [number] * len(faces)
-    return RawPot(np.concatenate(vertices), tuple(polygons), np.array(owner))
+        start += len(points)
+    return RawPot(np.concatenate([points for points, _ in shells]), tuple(polygons))
 
 
 def pot_solid() -> Solid:

@@ -6,16 +6,16 @@ rebuilds are bit-identical.
 
 The outer surface is closed, orientable and a manifold at every ε: b0 = b2, b1 = 2 × genus. What changes with
 ε is how often it is pierced: below half the width of a gap of the soup the surface passes through it to the
-soup's inner side. `climb` tries a ladder of offsets. One gap in a sphere leaves a double wall whose Betti
-numbers are those of the sphere, so a body must also have enclosed volume (`Rung.inside`), or walls that are
-thicker than what ε makes of a single sheet (`Rung.backed`).
+soup's inner side. `export.solid` tries a ladder of offsets. One gap in a sphere leaves a double wall whose
+Betti numbers are those of the sphere, so a body must also have enclosed volume (`Rung.inside`), or walls that
+are thicker than what ε makes of a single sheet (`Rung.backed`).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,25 +49,35 @@ FORMATS = (".ply", ".obj", ".stl")
 Betti = tuple[int, int, int]
 
 
-@dataclass(frozen=True, eq=False)
-class OuterSurface:
-    """The boundary of a solidified soup as marching cubes gives it, wound outwards."""
+@dataclass(frozen=True)
+class Wanted:
+    """The homology that a solid must have."""
 
-    vertices: np.ndarray  # (V,3) float64 that hold float32 values, world units
-    faces: np.ndarray  # (F,3) integers
-    name: str  # for messages
-    cell: float  # spacing of the grid, world units
+    betti: Betti  # of the solid's surface
+    body: bool  # whether it has an inside; False: a thick shell around an open surface
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What one offset gives."""
+
+    offset: float  # ε / diagonal of the soup
+    betti: Betti  # of the outer surface
+    genus: int  # summed over its components
+    inside: float  # share of a body's volume that the soup enclosed, least of all bodies; 0: open or double
+    backed: float  # share of a component's surface with a wall of its own behind it, least of all
+    pockets: int  # enclosed cavities, filled
+    triangles: int  # of the surface
     grid: tuple[int, int, int]  # points per axis
-    pockets: int  # enclosed cavities that were filled
-    inside: float  # share of a body's volume that was such a cavity, least of all bodies
-    backed: float  # share of a component's vertices with a wall of DEEP ε behind them, least of all
-    # (b0, b1, b2), counted on the understanding that the surface is closed and a manifold, as marching cubes
-    # makes it: components, Euler characteristic. `certify` counts without that.
-    betti: Betti
 
-    def shell(self) -> Mesh:
-        """Return the surface as a Mesh, welded exactly."""
-        return checked_mesh(self.vertices, self.faces, self.name)
+    def meets(self, wanted: Wanted) -> bool:
+        """Whether Betti numbers and, for a body, the inside or the walls are as wanted."""
+        return self.betti == wanted.betti and (self.backed >= BACKED or self.sure(wanted))
+
+    def sure(self, wanted: Wanted) -> bool:
+        """Whether there is an inside, where a body is wanted. Walls alone may be those of a double sheet with
+        a gap: an offset that closes it is better."""
+        return self.inside >= INSIDE or not wanted.body
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,36 +120,34 @@ def solidify(mesh: Mesh, offset: float = OFFSET, cells: float = CELLS) -> Solid:
     below 2ε close. Raises InputError for an offset outside (0, 0.25], fewer than one cell, a grid too large,
     or a mesh so far from the origin that float32 cannot hold its shell.
     """
-    check_offset(offset, cells)
+    check_ladder([offset], cells)
     raw = certify_mesh(mesh)
-    epsilon = offset * mesh.diagonal
-    surface = outer_surface(mesh, epsilon, epsilon / cells)
-    shell = surface.shell()
+    rung, surface = outer_surface(mesh, offset, cells)
+    shell = checked_mesh(surface.vertices, surface.faces, surface.name)
     certificate = certify_mesh(shell)
+    epsilon = float(offset * mesh.diagonal)
     return Solid(
         shell=replace(shell, betti=certificate.betti if certificate.passed else None),
         raw=raw,
         certificate=certificate,
-        offset=float(epsilon),
-        cell=surface.cell,
-        grid=surface.grid,
-        pockets=surface.pockets,
+        offset=epsilon,
+        cell=epsilon / cells,
+        grid=rung.grid,
+        pockets=rung.pockets,
     )
 
 
-def check_offset(offset: float, cells: float) -> None:
-    """Raise InputError unless ε / diagonal is in (0, 0.25] and there is at least one grid cell per ε."""
-    if not 0 < offset <= 0.25:
-        raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {offset}")
-    if not (np.isfinite(cells) and cells >= 1):
-        raise InputError(f"there must be at least one grid cell per offset, got {cells}")
+def outer_surface(mesh: Mesh, offset: float, cells: float) -> tuple[Rung, Mesh]:
+    """Return the outer surface of all that is within ε of a raw Mesh: its Rung, and the surface as marching
+    cubes gives it, not welded, wound outwards, its points float32 values.
 
-
-def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
-    """Return the outer surface of all that is within epsilon of a raw Mesh; both lengths in world units.
-
-    Raises InputError for a grid too large, or a mesh so far from the origin that float32 cannot hold it.
+    offset: ε divided by the diagonal; cells: grid cells per ε. The Betti numbers are counted on the
+    understanding that the surface is closed and a manifold, as marching cubes makes it: components, Euler
+    characteristic. `certify` counts without that. Raises InputError for a grid too large, or a mesh so far
+    from the origin that float32 cannot hold it.
     """
+    epsilon = offset * mesh.diagonal
+    cell = epsilon / cells
     vertices, faces = weld(mesh.vertices, mesh.faces)
     farthest = float(np.abs(vertices).max())
     if farthest * np.finfo(np.float32).eps > FAR * cell:
@@ -157,17 +165,17 @@ def outer_surface(mesh: Mesh, epsilon: float, cell: float) -> OuterSurface:
     walled = filled[tuple(np.clip(deep, 0, np.array(values.shape) - 1).T)]
     count, euler = int(label.max()) + 1, len(points) - len(triangles) // 2
     rounded = (points.astype(np.float64) * cell + field.origin).astype(np.float32).astype(np.float64)
-    return OuterSurface(
-        vertices=rounded,
-        faces=triangles,
-        name=f"{mesh.name} shell",
-        cell=float(cell),
-        grid=values.shape,
-        pockets=pockets,
+    rung = Rung(
+        offset=offset,
+        betti=(count, 2 * count - euler, count),
+        genus=(2 * count - euler) // 2,
         inside=_least_inside(filled, near),
         backed=float((np.bincount(label, walled) / np.bincount(label)).min()),
-        betti=(count, 2 * count - euler, count),
+        pockets=pockets,
+        triangles=len(triangles),
+        grid=values.shape,
     )
+    return rung, Mesh(rounded, triangles, f"{mesh.name} shell")
 
 
 def _least_inside(filled: np.ndarray, near: np.ndarray) -> float:
@@ -194,41 +202,6 @@ def without_pockets(values: np.ndarray, iso: float, nudge: float) -> tuple[np.nd
         outside & ~pocket, np.maximum(values, iso + nudge), np.minimum(values, iso - nudge)
     ).astype(np.float32)
     return values, int(count) - 1
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """The homology that a solid must have."""
-
-    betti: Betti  # of the solid's surface
-    body: bool  # whether it has an inside; False: a thick shell around an open surface
-
-
-@dataclass(frozen=True)
-class Rung:
-    """What one offset gives."""
-
-    offset: float  # ε / diagonal of the soup
-    betti: Betti  # of the outer surface
-    genus: int  # summed over its components
-    inside: float  # share of a body's volume that the soup enclosed, least of all bodies; 0: open or double
-    backed: float  # share of a component's surface with a wall of its own behind it, least of all
-    pockets: int  # enclosed cavities, filled
-    triangles: int  # of the surface
-    grid: tuple[int, int, int]  # points per axis
-
-    def meets(self, wanted: Wanted) -> bool:
-        """Whether Betti numbers and, for a body, the inside or the walls are as wanted."""
-        return self.betti == wanted.betti and (self.backed >= BACKED or self.sure(wanted))
-
-    def sure(self, wanted: Wanted) -> bool:
-        """Whether there is an inside, where a body is wanted. Walls alone may be those of a double sheet with
-        a gap: an offset that closes it is better."""
-        return self.inside >= INSIDE or not wanted.body
-
-    def to_json(self) -> dict:
-        """Return the fields as a JSON-able dict."""
-        return asdict(self)
 
 
 def wanted_of(betti: Sequence[int]) -> Wanted:
@@ -260,22 +233,16 @@ def wanted_of(betti: Sequence[int]) -> Wanted:
 
 
 def check_ladder(offsets: Iterable[float], cells: float = CELLS) -> tuple[float, ...]:
-    """Return the offsets in rising order, each once. InputError for none, or as `check_offset` does."""
+    """Return the offsets ε / diagonal in rising order, each once. Raises InputError for none, one outside of
+    (0, 0.25], and fewer than one grid cell per ε."""
     rungs = tuple(sorted(set(offsets)))
     if not rungs:
         raise InputError("no offset to try; give at least one, as a fraction of the diagonal such as 0.008")
-    for offset in rungs:
-        check_offset(offset, cells)
+    if wrong := [offset for offset in rungs if not 0 < offset <= 0.25]:
+        raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {wrong[0]}")
+    if not (np.isfinite(cells) and cells >= 1):
+        raise InputError(f"there must be at least one grid cell per offset, got {cells}")
     return rungs
-
-
-def climb(soup: Mesh, offsets: Iterable[float], cells: float) -> Iterator[tuple[Rung, OuterSurface]]:
-    """Yield a Rung and its surface per offset (fractions of the soup's diagonal, cells per offset), in their
-    order. Raises InputError as `outer_surface` does."""
-    for offset in offsets:
-        surface = outer_surface(soup, offset * soup.diagonal, offset * soup.diagonal / cells)
-        betti, count, walls = surface.betti, len(surface.faces), (surface.inside, surface.backed)
-        yield Rung(offset, betti, betti[1] // 2, *walls, surface.pockets, count, surface.grid), surface
 
 
 def plateau(rungs: Sequence[Rung]) -> tuple[Betti, float]:
