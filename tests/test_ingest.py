@@ -38,26 +38,26 @@ def test_distances_are_exact_in_the_band():
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(24, 3))
     faces = np.array([rng.choice(24, 3, replace=False) for _ in range(16)])
-    grid = distance_grid(vertices, faces, 0.15, 0.6)
-    index = np.argwhere(np.ones_like(grid.values))
+    values, origin = distance_grid(vertices, faces, 0.15, 0.6)
+    index = np.argwhere(np.ones_like(values))
     index = index[rng.choice(len(index), 4000, replace=False)]
     _, distances, _ = trimesh.proximity.closest_point(
-        trimesh.Trimesh(vertices, faces, process=False), grid.origin + grid.cell * index
+        trimesh.Trimesh(vertices, faces, process=False), origin + 0.15 * index
     )
-    np.testing.assert_allclose(grid.values[tuple(index.T)], np.minimum(distances, 0.6), atol=2e-7)
+    np.testing.assert_allclose(values[tuple(index.T)], np.minimum(distances, 0.6), atol=2e-7)
 
 
 def test_distances_to_flat_triangles_are_those_to_their_edges():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [3, 0, 0.0], [0, 1, 0], [0, 2, 0]])
-    grid = distance_grid(vertices, np.array([[0, 1, 2], [1, 2, 3], [0, 4, 5]]), 0.25, 1.0)
-    points = grid.origin + grid.cell * np.argwhere(np.ones_like(grid.values))
+    values, origin = distance_grid(vertices, np.array([[0, 1, 2], [1, 2, 3], [0, 4, 5]]), 0.25, 1.0)
+    points = origin + 0.25 * np.argwhere(np.ones_like(values))
     along = np.hypot(
         np.hypot(np.maximum(points[:, 0] - 3, 0) + np.maximum(-points[:, 0], 0), points[:, 1]), points[:, 2]
     )
     beside = np.hypot(
         np.hypot(np.maximum(points[:, 1] - 2, 0) + np.maximum(-points[:, 1], 0), points[:, 0]), points[:, 2]
     )
-    np.testing.assert_allclose(grid.values.reshape(-1), np.minimum(np.minimum(along, beside), 1), atol=1e-6)
+    np.testing.assert_allclose(values.reshape(-1), np.minimum(np.minimum(along, beside), 1), atol=1e-6)
 
 
 def test_a_sphere_grows_by_the_offset():

@@ -16,7 +16,6 @@ from paper_artifact.certify.homology import (
     SurfaceChecks,
     betti_numbers,
     check_surface,
-    dual_voids,
     edges_of,
     labels_of_graph,
     make_complex,
@@ -83,7 +82,6 @@ class Certificate:
     euler: int  # of the distinct simplices
     euler_as_given: int  # with repeated faces each time
     betti: tuple[int, int, int]  # of the whole complex, over Z/2
-    betti2_dual: int | None  # b2 once more, by duality; None where that would be too large
     components: tuple[Component, ...]  # largest first
     kind: str  # as text
     with_boundary: bool  # whether open edges were allowed
@@ -138,14 +136,12 @@ def certify_mesh(
     betti, counts = betti_numbers(simplices), simplices.counts()
     components = [_component(row, checks, i, betti[i]) for i, row in enumerate(counts.tolist())]
     total = _triple(betti.sum(axis=0))
-    stage("voids by duality")
-    dual = dual_voids(simplices)
     numbers = {name: int(getattr(checks, name).sum()) for name in FAULTS}
     euler = int(counts[:, 0].sum() - counts[:, 1].sum() + counts[:, 2].sum())
     if with_boundary is None:
-        others = _reasons(numbers, checks, components, total, dual, with_boundary=True)
+        others = _reasons(numbers, checks, components, with_boundary=True)
         with_boundary = numbers["open_edges"] > 0 and not others
-    reasons = _reasons(numbers, checks, components, total, dual, with_boundary)
+    reasons = _reasons(numbers, checks, components, with_boundary)
     return Certificate(
         name=name,
         vertices_as_indexed=len(vertices),
@@ -162,7 +158,6 @@ def certify_mesh(
         euler=euler,
         euler_as_given=euler + int(checks.duplicate_faces.sum()),
         betti=total,
-        betti2_dual=dual,
         components=tuple(sorted(components, key=lambda each: -each.faces)),
         kind=_kind(components),
         with_boundary=with_boundary,
@@ -204,12 +199,7 @@ def _triple(numbers: np.ndarray) -> tuple[int, int, int]:
 
 
 def _reasons(
-    numbers: dict[str, int],
-    checks: SurfaceChecks,
-    components: list[Component],
-    betti: tuple[int, int, int],
-    dual: int | None,
-    with_boundary: bool,
+    numbers: dict[str, int], checks: SurfaceChecks, components: list[Component], with_boundary: bool
 ) -> list[str]:
     loops = _count(numbers["boundary_loops"], "boundary loop")
     crowded = _count(numbers["nonmanifold_edges"], "edge")
@@ -220,7 +210,10 @@ def _reasons(
         for each, times in zip(components, checks.duplicate_faces, strict=True)
         if each.euler % 2 and each.open_edges == 0 and not times
     ]
-    unlike = any(each.expected not in (None, each.betti) for each in components)
+    unlike = any(
+        each.euler != each.betti[0] - each.betti[1] + each.betti[2] or each.expected not in (None, each.betti)
+        for each in components
+    )
     reasons = [
         (
             numbers["open_edges"] and not with_boundary,
@@ -236,7 +229,7 @@ def _reasons(
             f"inconsistent winding at {_count(numbers['reversed_edges'], 'edge')}",
         ),
         (
-            unlike or dual not in (None, betti[2]),
+            unlike,
             "homology and Euler characteristic disagree: "
             "please report this mesh, it is a fault of the certificate",
         ),
@@ -338,11 +331,7 @@ def certificate_text(certificate: Certificate) -> str:
             + f", {c.reversed_edges} edges wound alike by both faces",
         ),
         ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
-        (
-            "Betti numbers, Z/2",
-            f"{c.betti}, b2 by duality "
-            + ("not counted (too large)" if c.betti2_dual is None else str(c.betti2_dual)),
-        ),
+        ("Betti numbers, Z/2", f"{c.betti}"),
         (
             "Euler characteristic",
             f"{c.euler}"

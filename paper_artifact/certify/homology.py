@@ -2,10 +2,6 @@
 
 Homology is exact, and independent of any alpha complex and of floating point: gudhi's, of the simplices.
 
-The dual count of b2 solves for the 2-cycles themselves: triangles across an edge of exactly two have equal
-coefficients, an edge of one triangle sets its coefficient to zero, the others give the equations. The two
-counts share no elimination, so their agreement is a check.
-
 `check_surface` counts open and non-manifold edges, pinched vertices and loops, on exactly welded vertices. It
 counts the faces as given: a face given twice counts twice at its edges.
 """
@@ -29,7 +25,6 @@ class Complex:
 
     faces: np.ndarray  # (F,3) int64 vertex indices, each row increasing, rows in lexicographic order
     edges: np.ndarray  # (E,2) int64 likewise
-    face_edges: np.ndarray  # (F,3) int64, the edges (01, 12, 02) of each face
     component_of_vertex: np.ndarray  # (V,) int64, labels 0..C-1 in order of the first vertex
 
     @property
@@ -51,9 +46,8 @@ def make_complex(faces: np.ndarray, vertex_count: int) -> Complex:
     first = np.ones(len(ordered), dtype=bool)
     first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     ordered = ordered[first]
-    edges, face_edges = edges_of(ordered, vertex_count)
-    labels = labels_of_graph(edges[:, 0], edges[:, 1], vertex_count)
-    return Complex(ordered, edges, face_edges, labels)
+    edges, _ = edges_of(ordered, vertex_count)
+    return Complex(ordered, edges, labels_of_graph(edges[:, 0], edges[:, 1], vertex_count))
 
 
 def edges_of(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -71,10 +65,6 @@ def labels_of_graph(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarr
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-# Beyond this many bits of dense equations the dual count is left out; no surface comes near.
-DUAL_LIMIT = 400_000_000
-
-
 def betti_numbers(simplices: Complex) -> np.ndarray:
     """Return (C,3) int64: b0, b1 and b2 over Z/2 of each component, by gudhi's persistent cohomology: the
     classes that never die of a filtration in which all enter at once."""
@@ -89,45 +79,6 @@ def betti_numbers(simplices: Complex) -> np.ndarray:
         owners = simplices.component_of_vertex[np.asarray(vertices, dtype=np.int64)]
         betti[:, dimension] = np.bincount(owners, minlength=len(betti))
     return betti
-
-
-def dual_voids(simplices: Complex) -> int | None:
-    """Return b2 of the whole complex, the dimension of its 2-cycles over Z/2; None beyond DUAL_LIMIT."""
-    sides = simplices.face_edges.reshape(-1)
-    face_of_side = np.arange(len(simplices.faces)).repeat(3)
-    order = np.argsort(sides, kind="stable")
-    degree = np.bincount(sides, minlength=len(simplices.edges))
-    start = np.concatenate([[0], np.cumsum(degree)])
-    sorted_faces = face_of_side[order]
-    double = start[:-1][degree == 2]
-    group = labels_of_graph(sorted_faces[double], sorted_faces[double + 1], len(simplices.faces))
-    groups = int(group.max()) + 1 if len(group) else 0
-    zero = np.zeros(groups, dtype=bool)
-    zero[group[sorted_faces[start[:-1][degree == 1]]]] = True
-    equations = set()
-    for edge in np.flatnonzero(degree > 2).tolist():
-        members, times = np.unique(group[sorted_faces[start[edge] : start[edge + 1]]], return_counts=True)
-        equations.add(tuple(members[(times % 2 == 1) & ~zero[members]].tolist()))
-    unknown = sorted({member for equation in equations for member in equation})
-    if len(unknown) * len(equations) > DUAL_LIMIT:
-        return None
-    place = {member: index for index, member in enumerate(unknown)}
-    basis: dict[int, int] = {}
-    rank = sum(
-        _enters(basis, sum(1 << place[member] for member in equation)) for equation in sorted(equations)
-    )
-    return groups - int(zero.sum()) - rank
-
-
-def _enters(basis: dict[int, int], row: int) -> bool:
-    """Reduce `row` (bits) by `basis` (highest bit → row) and keep the rest there; False when none is left."""
-    while row:
-        pivot = row.bit_length()
-        if pivot not in basis:
-            basis[pivot] = row
-            return True
-        row ^= basis[pivot]
-    return False
 
 
 @dataclass(frozen=True, eq=False)

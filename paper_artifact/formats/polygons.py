@@ -8,7 +8,7 @@ with what it holds) and InputError for a part of the format that is not read.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def read_obj(data: bytes) -> Triangles:
             )
         elif keyword == "call":
             raise InputError("it takes in other files (call), which are not read; export it as one file")
-    index = _whole_numbers(word.partition("/")[0] for word in corners)
+    index = np.array([whole(word.partition("/")[0]) for word in corners], dtype=np.int64)
     if (index == 0).any():
         raise ValueError("a face refers to vertex 0, and OBJ counts from 1")
     count = np.repeat(known, sizes).astype(np.int64)
@@ -86,13 +86,13 @@ def read_off(data: bytes) -> Triangles:
     if any(len(row) < 3 for row in rows[:count]):
         raise ValueError("a vertex has fewer than three coordinates")
     points = np.array([_reals(row[:3]) for row in rows[:count]]).reshape(-1, 3)
-    sizes = _whole_numbers(row[0] for row in rows[count:])
+    sizes = np.array([whole(row[0]) for row in rows[count:]], dtype=np.int64)
     if (sizes < 0).any():
         raise ValueError(f"a face has {sizes.min()} corners")
     if any(len(row) <= size for row, size in zip(rows[count:], sizes.tolist(), strict=True)):
         raise ValueError("cut off: a face has fewer corners than it declares")
     named = zip(rows[count:], sizes.tolist(), strict=True)
-    index = _whole_numbers(word for row, size in named for word in row[1 : 1 + max(size, 0)])
+    index = np.array([whole(word) for row, size in named for word in row[1 : 1 + size]], dtype=np.int64)
     return points, triangulated(points, index, sizes)
 
 
@@ -141,7 +141,9 @@ def read_ply(data: bytes) -> Triangles:
                 parts.append(triangulated(points, index.astype(np.int64), sizes))
             elif element == "tristrips":
                 runs = np.split(index.astype(np.int64), np.cumsum(sizes)[:-1])
-                parts += [strip_triangles(each) for run in runs for each in _between(run)]
+                for run in runs:  # -1 divides a strip
+                    pieces = np.split(run, np.flatnonzero(run < 0))
+                    parts += [strip_triangles(piece[piece >= 0]) for piece in pieces]
     return points, np.concatenate(parts)
 
 
@@ -246,11 +248,6 @@ def _of_type(values: np.ndarray, kind: str) -> np.ndarray:
     return values
 
 
-def _between(run: np.ndarray) -> list[np.ndarray]:
-    """Return the pieces of a strip that -1 divides."""
-    return [each[each >= 0] for each in np.split(run, np.flatnonzero(run < 0))]
-
-
 def _reals(words: Sequence[str]) -> list[float]:
     """Return the words as numbers; `1_0`, which Python reads as 10, is none."""
     if "_" in "".join(words):
@@ -258,20 +255,9 @@ def _reals(words: Sequence[str]) -> list[float]:
     return [float(word) for word in words]
 
 
-def _whole_numbers(words: Iterable[str]) -> np.ndarray:
-    words = list(words)
-    try:
-        numbers = [whole(word) for word in words] if "_" in "".join(words) else [int(word) for word in words]
-    except ValueError:
-        numbers = [whole(word) for word in words]
-    return np.array(numbers, dtype=np.int64)
-
-
 def strip_triangles(index: np.ndarray) -> np.ndarray:
     """Return the triangles (n-2,3) of a strip (n,), wound alike, without those that name a point twice."""
-    faces = (
-        np.stack([index[:-2], index[1:-1], index[2:]], axis=1) if len(index) > 2 else np.zeros((0, 3), int)
-    )
+    faces = np.stack([index[:-2], index[1:-1], index[2:]], axis=1)
     faces[1::2] = faces[1::2, ::-1]
     a, b, c = faces.T
     return faces[(a != b) & (b != c) & (c != a)]

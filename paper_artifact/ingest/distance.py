@@ -47,7 +47,7 @@ def file_boxes(corners: np.ndarray, cell: float) -> Boxes:
 
 
 @njit(cache=True)
-def cells_of(low, high, origin, cell, shape):
+def _cells_of(low, high, origin, cell, shape):
     """Return the first and last cell (3,) int64 per axis that a box meets; first > last outside of all."""
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
@@ -60,7 +60,7 @@ def cells_of(low, high, origin, cell, shape):
 def items_near(boxes, low, high):
     """Return the boxes (n,) int64 filed in the cells that the box from `low` to `high` meets, some several
     times."""
-    first, last = cells_of(low, high, boxes.origin, boxes.cell, boxes.shape)
+    first, last = _cells_of(low, high, boxes.origin, boxes.cell, boxes.shape)
     found, count = np.empty(64, np.int64), 0
     for i in range(first[0], last[0] + 1):
         for j in range(first[1], last[1] + 1):
@@ -84,7 +84,7 @@ def _file(low, high, origin, cell, shape):
             items = np.empty(start[-1], dtype=np.int64)
         for back in range(len(low)):
             n = len(low) - 1 - back
-            first, last = cells_of(low[n], high[n], origin, cell, shape)
+            first, last = _cells_of(low[n], high[n], origin, cell, shape)
             for i in range(first[0], last[0] + 1):
                 for j in range(first[1], last[1] + 1):
                     for k in range(first[2], last[2] + 1):
@@ -100,18 +100,11 @@ def _file(low, high, origin, cell, shape):
 MOST_POINTS = 400_000_000  # grid points, 1.6 GB
 
 
-@dataclass(frozen=True, eq=False)
-class DistanceGrid:
-    """Distances on a grid whose point (i,j,k) lies at origin + cell·(i,j,k)."""
-
-    values: np.ndarray  # (nx,ny,nz) float32, world units, at most `band`
-    origin: np.ndarray  # (3,) float64, world units
-    cell: float  # spacing, world units
-    band: float  # world units
-
-
-def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: float) -> DistanceGrid:
-    """Return the DistanceGrid of vertices (V,3) float64 and faces (F,3) int64; cell and band: world units.
+def distance_grid(
+    vertices: np.ndarray, faces: np.ndarray, cell: float, band: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances (nx,ny,nz) float32, at most `band`, to vertices (V,3) float64 and faces (F,3) int64 on
+    a grid, and its origin (3,) float64: point (i,j,k) lies at origin + cell·(i,j,k). All in world units.
 
     The grid exceeds the bounding box by the band and two cells. Raises InputError when it would be too large,
     or sizes are not positive.
@@ -133,7 +126,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, cell: float, band: fl
     # Every 16th triangle first: the others then find most points nearer to one of these, and pass them over.
     order = np.concatenate([np.arange(first, len(faces), 16) for first in range(16)])
     _minimise(values, (vertices[faces[order]] - origin) / cell, band / cell, cell)
-    return DistanceGrid(values, origin, float(cell), float(band))
+    return values, origin
 
 
 @njit(cache=True)
@@ -188,13 +181,13 @@ def _minimise(values, corners, band, cell):
                     if beside > reach * reach:
                         continue
                     point[inner] = k
-                    distance = np.float32(np.sqrt(squared_distance(point, a, b, c)) * cell)
+                    distance = np.float32(np.sqrt(_squared_distance(point, a, b, c)) * cell)
                     if distance < flat[place]:
                         flat[place] = distance
 
 
 @njit(cache=True)
-def squared_distance(p, a, b, c):
+def _squared_distance(p, a, b, c):
     """Return the squared distance of point p to triangle abc, (3,) float64 each, also for flat triangles."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -254,7 +247,7 @@ def _nearest(points: np.ndarray, soup: np.ndarray, within: float, boxes: Boxes) 
         point, best, reach = points[n], within * within, within
         if n > 0 and result[n - 1] >= 0:  # neighbours follow each other: a bound for most others
             corners = soup[result[n - 1]]
-            squared = squared_distance(point, corners[0], corners[1], corners[2])
+            squared = _squared_distance(point, corners[0], corners[1], corners[2])
             if squared < best:
                 best, result[n] = squared, result[n - 1]
                 reach = min(within, np.sqrt(squared) * (1 + 1e-9))
@@ -265,7 +258,7 @@ def _nearest(points: np.ndarray, soup: np.ndarray, within: float, boxes: Boxes) 
                 outside += gap * gap
             if outside > best:
                 continue
-            squared = squared_distance(point, soup[item, 0], soup[item, 1], soup[item, 2])
+            squared = _squared_distance(point, soup[item, 0], soup[item, 1], soup[item, 2])
             if squared < best or (squared == best and (result[n] < 0 or item < result[n])):
                 best = squared
                 result[n] = item

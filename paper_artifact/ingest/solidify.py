@@ -155,16 +155,16 @@ def outer_surface(mesh: Mesh, offset: float, cells: float) -> tuple[Rung, Mesh]:
             f"cells of {cell:.3g} are too small beside the coordinates of {mesh.name}, up to {farthest:.3g}, "
             "for the shell's float32 points; move it to the origin, or take a larger offset or fewer cells"
         )
-    field = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
-    near = field.values <= np.float32(epsilon)
-    values, pockets = without_pockets(field.values, epsilon, NUDGE * cell)
+    distances, origin = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
+    near = distances <= np.float32(epsilon)
+    values, pockets = without_pockets(distances, epsilon, NUDGE * cell)
     filled = values < np.float32(epsilon)
     points, triangles, inwards, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
     label = labels_of_graph(triangles[:, [0, 1]].reshape(-1), triangles[:, [1, 2]].reshape(-1), len(points))
     deep = np.rint(points + DEEP * epsilon / cell * inwards).astype(int)
     walled = filled[tuple(np.clip(deep, 0, np.array(values.shape) - 1).T)]
     count, euler = int(label.max()) + 1, len(points) - len(triangles) // 2
-    rounded = (points.astype(np.float64) * cell + field.origin).astype(np.float32).astype(np.float64)
+    rounded = (points.astype(np.float64) * cell + origin).astype(np.float32).astype(np.float64)
     rung = Rung(
         offset=offset,
         betti=(count, 2 * count - euler, count),
