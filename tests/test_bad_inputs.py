@@ -46,39 +46,6 @@ def refused(tmp_path, capsys):
     return check
 
 
-SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-MESHES = {
-    "empty.obj": ("", "empty"),
-    "vertices_only.obj": (SQUARE, "no triangles"),
-    "nan.obj": (SQUARE + "v nan 0 1\nf 1 2 3\nf 3 4 5\n", "1 vertices with NaN"),
-    "flat.obj": (SQUARE + "v 2 0 0\nv 3 0 0\nf 1 2 5\nf 2 5 6\nf 1 1 2\n", "only triangles of zero area"),
-    "index.obj": (SQUARE + "f 1 2 9\n", "a face refers to vertex 8 of 4"),
-    "prose.obj": ("It was a dark and stormy night.\n", "no triangles"),
-    "prose.ply": ("It was a dark and stormy night.\n", "no PLY mesh"),
-    "empty.stl": ("", "empty"),
-    "notes.txt": ("It was a dark and stormy night.\n", "no mesh format"),
-    "none.obj": (None, "no mesh file at"),
-}
-
-
-@pytest.mark.parametrize("verb", ["train {} --results", "scene --mesh {} --out"])
-@pytest.mark.parametrize("name", MESHES)
-def test_meshes_that_cannot_be_used(verb, name, refused, tmp_path):
-    content, words = MESHES[name]
-    if content is not None:
-        (tmp_path / name).write_text(content)
-    refused([*verb.format(tmp_path / name).split(), tmp_path / "out", "--quiet"], name, words)
-
-
-def test_a_mesh_cut_in_half_and_a_folder(refused, tmp_path):
-    file, folder = tmp_path / "ball.ply", tmp_path / "folder.obj"
-    trimesh.creation.icosphere(subdivisions=2).export(file)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    folder.mkdir()
-    refused(["train", file, "--quiet", "--results", tmp_path / "results"], "ball.ply")
-    refused(["train", folder, "--quiet", "--results", tmp_path / "results"], "no mesh file at")
-
-
 # Every row: nothing is looked at, let alone built, before it is refused.
 TRAIN = [
     ("sphere_", "unknown shape 'sphere_'"),

@@ -1,5 +1,5 @@
-"""Bad and odd meshes through certify, audit, ingest and scene: a result, or one clear sentence and exit code
-1; never a trace, never a part of a file.
+"""Bad and odd meshes through certify, audit, ingest, scene and train: a result, or one clear sentence and
+exit code 1; never a trace, never a part of a file.
 """
 
 from __future__ import annotations
@@ -14,40 +14,17 @@ from paper_artifact.audit import page
 from tests import odd_meshes
 
 VERBS = ("certify", "audit", "ingest", "scene")
+OPTIONS = {
+    "certify": "{mesh} --json {out}/certificate.json",
+    "audit": "{mesh} --out {out} --densities 64 --working 128 --quiet",
+    "ingest": "{mesh} --out {out}/shell.ply --offset 0.04 --cells 1.5 --quiet",
+    "scene": "--mesh {mesh} --out {out}/scene --views 2 --size 32 --points 32 --supersample 1 --quiet",
+    "train": "{mesh} --results {out} --quiet",
+}
 
 
 def arguments(verb: str, mesh: Path, out: Path) -> list[str]:
-    return {
-        "certify": ["certify", str(mesh), "--json", str(out / "certificate.json")],
-        "audit": ["audit", str(mesh), "--out", str(out), "--densities", "64", "--working", "128", "--quiet"],
-        "ingest": [
-            "ingest",
-            str(mesh),
-            "--out",
-            str(out / "shell.ply"),
-            "--offset",
-            "0.04",
-            "--cells",
-            "1.5",
-            "--quiet",
-        ],
-        "scene": [
-            "scene",
-            "--mesh",
-            str(mesh),
-            "--out",
-            str(out / "scene"),
-            "--views",
-            "2",
-            "--size",
-            "32",
-            "--points",
-            "32",
-            "--supersample",
-            "1",
-            "--quiet",
-        ],
-    }[verb]
+    return [verb, *(word.format(mesh=mesh, out=out) for word in OPTIONS[verb].split())]
 
 
 EXPECTED = {
@@ -72,7 +49,7 @@ def check_refused(verb: str, mesh: Path, out: Path, capsys, words: str) -> None:
     assert not out.exists() or not list(out.iterdir())
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", OPTIONS)
 @pytest.mark.parametrize("name", odd_meshes.REFUSED)
 def test_bad_files_are_refused(name, verb, tmp_path, capsys):
     content, words = odd_meshes.REFUSED[name]
@@ -98,7 +75,7 @@ def test_odd_files_give_a_result(name, verb, tmp_path, capsys):
         json.loads(written.read_text())
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", OPTIONS)
 def test_missing_files_and_folders_are_refused(verb, tmp_path, capsys):
     (tmp_path / "folder.obj").mkdir()
     for name in ("absent.obj", "folder.obj"):
