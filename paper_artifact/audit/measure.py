@@ -108,11 +108,10 @@ def audit_mesh(
     require_memory_for(max(*densities, *working))
     certificate = certify_mesh(mesh, with_boundary=None, progress=progress)
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name, mesh.betti)
-    rungs, diagrams = [], {}
+    rungs, diagrams, stage = [], {}, progress or (lambda line: None)
     for samples in sorted({*densities, *working}):
         for seed in range(first_seed, first_seed + seeds):
-            if progress:
-                progress(f"staircase M = {samples}, seed {seed}")
+            stage(f"staircase M = {samples}, seed {seed}")
             diagram, floor = measure(mesh, samples, seed)
             rungs.append(Rung(samples, seed, floor, tuple(_margins(bars, floor) for bars in diagram)))
             if seed == first_seed:
@@ -129,8 +128,7 @@ def audit_mesh(
             dimensions=decision.dimensions,
         )
     shown = decision.samples if decision.samples is not None else max(diagrams)
-    if progress:
-        progress("where loops and voids are")
+    stage("where loops and voids are")
     points, _, _ = sample_surface(mesh.vertices, mesh.faces, shown, stream(first_seed, "bundle-samples"))
     floor = next(rung.floor for rung in rungs if (rung.samples, rung.seed) == (shown, first_seed))
     return Audit(

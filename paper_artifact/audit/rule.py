@@ -106,18 +106,16 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
             reasons.append("No certified class is measurable; the bars observed without one decide.")
         for dimension in range(3):
             found = _density(ladder, dimension, expected[dimension])
-            if found is None:
-                if expected[dimension]:
-                    tops = (
-                        f"M = {rung.samples}: {_top(rung, dimension):.2f} of the floor" for rung in ladder
-                    )
-                    reasons.append(
-                        f"Only {counted(dimension, 0, expected[dimension])} clear the floor at a "
-                        f"working density ({', '.join(tops)})."
-                    )
-                continue
-            rung, complete = found
-            return _decision(by_samples, rung, dimension, complete, expected, basis, reasons)
+            if found is not None:
+                return _decision(by_samples, *found, dimension, expected, basis, reasons)
+            if expected[dimension]:
+                longest = [max(rung.margins[dimension], default=0.0) for rung in ladder]
+                tops = zip(ladder, longest, strict=True)
+                shown = ", ".join(f"M = {rung.samples}: {top:.2f} of the floor" for rung, top in tops)
+                reasons.append(
+                    f"Only {counted(dimension, 0, expected[dimension])} clear the floor at a "
+                    f"working density ({shown})."
+                )
     denser = [rung for rung in by_samples.values() if sum(rung.counts) and rung.samples not in working]
     if denser:
         reasons.append(
@@ -125,16 +123,7 @@ def decide(rungs: Sequence[Rung], certificate: Certificate, working: Sequence[in
             "which is no working density."
         )
     basis, expected = choices[0]
-    return Decision(
-        dimension=None,
-        samples=None,
-        dimensions=(),
-        complete=False,
-        expected=expected,
-        basis=basis,
-        reasons=tuple(reasons),
-        warnings=(),
-    )
+    return Decision(None, None, (), False, expected, basis, tuple(reasons), warnings=())
 
 
 def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Rung, bool] | None:
@@ -149,8 +138,8 @@ def _density(ladder: Sequence[Rung], dimension: int, expected: int) -> tuple[Run
 def _decision(
     by_samples: dict[int, Rung],
     rung: Rung,
-    dimension: int,
     complete: bool,
+    dimension: int,
     expected: tuple[int, int, int],
     basis: str,
     reasons: list[str],
@@ -182,17 +171,7 @@ def _decision(
         for d in range(3)
         if any(abs(margin - 1) < NEAR for margin in rung.margins[d][: max(expected[d], 1)])
     ]
+    dimensions = tuple(sorted((dimension, *others)))
     return Decision(
-        dimension=dimension,
-        samples=rung.samples,
-        dimensions=tuple(sorted((dimension, *others))),
-        complete=complete,
-        expected=expected,
-        basis=basis,
-        reasons=tuple(reasons),
-        warnings=tuple(warnings),
+        dimension, rung.samples, dimensions, complete, expected, basis, tuple(reasons), tuple(warnings)
     )
-
-
-def _top(rung: Rung, dimension: int) -> float:
-    return max(rung.margins[dimension], default=0.0)

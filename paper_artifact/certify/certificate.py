@@ -312,33 +312,23 @@ def certificate_text(certificate: Certificate) -> str:
     c = certificate
     lines = [f"{c.name}: {verdict_text(c)}"]
     lines += [f"  reason: {reason}" for reason in c.reasons] + [f"  note: {note}" for note in c.notes]
-    rows = [
-        ("kind", c.kind),
-        (
-            "as indexed",
-            f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles, "
-            f"{c.open_edges_as_indexed} open edges",
-        ),
-        ("after exact weld", f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles"),
-        (
-            "open edges",
-            f"{c.open_edges}" + (f" in {c.boundary_loops} boundary loops" if c.open_edges else ""),
-        ),
-        ("non-manifold", f"{c.nonmanifold_edges} edges, {c.pinched_vertices} pinched vertices"),
-        (
-            "winding",
-            ("orientable" if c.orientable else "not orientable")
-            + f", {c.reversed_edges} edges wound alike by both faces",
-        ),
-        ("components", f"{len(c.components)}" + (f", total genus {c.genus}" if c.genus is not None else "")),
-        ("Betti numbers, Z/2", f"{c.betti}"),
-        (
-            "Euler characteristic",
-            f"{c.euler}"
-            + (f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""),
-        ),
-    ]
-    lines += [f"  {label:<21}{text}" for label, text in rows]
+    indexed = f"{c.vertices_as_indexed} vertices, {c.faces_as_indexed} triangles"
+    loops = f" in {c.boundary_loops} boundary loops" if c.open_edges else ""
+    winding = "orientable" if c.orientable else "not orientable"
+    repeated = f" ({c.euler_as_given} with repeated faces)" if c.euler != c.euler_as_given else ""
+    genus = "" if c.genus is None else f", total genus {c.genus}"
+    rows = {
+        "kind": c.kind,
+        "as indexed": f"{indexed}, {c.open_edges_as_indexed} open edges",
+        "after exact weld": f"{c.vertices} vertices, {c.edges} edges, {c.faces} triangles",
+        "open edges": f"{c.open_edges}{loops}",
+        "non-manifold": f"{c.nonmanifold_edges} edges, {c.pinched_vertices} pinched vertices",
+        "winding": f"{winding}, {c.reversed_edges} edges wound alike by both faces",
+        "components": f"{len(c.components)}{genus}",
+        "Betti numbers, Z/2": f"{c.betti}",
+        "Euler characteristic": f"{c.euler}{repeated}",
+    }
+    lines += [f"  {label:<21}{text}" for label, text in rows.items()]
     lines.append(
         f"  {'component':<11}{'vertices':>9}{'triangles':>10}{'χ':>6}  {'Betti':<14}{'expected':<14}"
         f"{'open':>5}{'loops':>6}{'genus':>6}"
