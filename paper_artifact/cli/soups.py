@@ -21,7 +21,6 @@ from paper_artifact.mesh import FEATURES
 if TYPE_CHECKING:
     from paper_artifact.export.models import Triangles
     from paper_artifact.export.viewer import Viewpoint
-    from paper_artifact.frame import Frame
     from paper_artifact.scene.load import Scene
     from paper_artifact.soup.state import Soup
 
@@ -79,14 +78,20 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
     images = {}
     if is_soup:
         from paper_artifact.scene.load import load_scene
-        from paper_artifact.soup.state import load_frame, load_soup
+        from paper_artifact.soup.state import load_frame, load_soup, reframed
+        from paper_artifact.topology.statement import frame_diagonal
 
         soup, frame = load_soup(file), load_frame(file)
         if options.scene is not None:
             scene = load_scene(options.scene, **settings)
-            images = {"images": _view_scores(soup, frame, scene, options.supersample)}
+            moved = reframed(soup, frame, scene.frame)
+            images = {"images": _view_scores(moved, scene, options.supersample)}
         if truth is None:
-            result = _alone(soup, frame, scene, options) | asked | images
+            corners, unit = moved.vertices.numpy(), frame_diagonal(scene.points)
+            result = scores.evaluate_alone(
+                corners, moved.corner_opacity(), unit, options.samples, options.seed
+            )
+            result = {name: result[name] for name in result if name != "step"} | asked | images
             print(_table(result))
             print(next_command("solidify", options.surface, "--scene", options.scene, "--out", "mesh.ply"))
             return 0, result
@@ -145,31 +150,13 @@ def _table(result: dict) -> str:
     return "\n".join(lines)
 
 
-def _view_scores(soup: Soup, frame: Frame, scene: Scene, supersample: int) -> dict:
+def _view_scores(soup: Soup, scene: Scene, supersample: int) -> dict:
     """Return `view_scores` of the held-out views, or of all where none is held out, of which ("of"), and of
-    how many rays a pixel and side ("supersample")."""
+    how many rays a pixel and side ("supersample"); the soup in the scene's frame."""
     from paper_artifact.evaluate.image import view_scores
-    from paper_artifact.soup.state import reframed
 
     views, which = (scene.holdout, "held-out") if len(scene.holdout) else (scene.train, "training")
-    found = view_scores(reframed(soup, frame, scene.frame), scene, views, supersample)
-    return found | {"of": which, "supersample": supersample}
-
-
-def _alone(soup: Soup, frame: Frame, scene: Scene, options: Evaluate) -> dict:
-    """Return what a soup shows by itself, in units of the scene's cloud."""
-    from paper_artifact.soup.state import reframed
-    from paper_artifact.topology.statement import frame_diagonal
-
-    moved = reframed(soup, frame, scene.frame)
-    shown = scores.evaluate_alone(
-        moved.vertices.numpy(),
-        moved.corner_opacity(),
-        frame_diagonal(scene.points),
-        options.samples,
-        options.seed,
-    )
-    return {name: value for name, value in shown.items() if name != "step"}
+    return view_scores(soup, scene, views, supersample) | {"of": which, "supersample": supersample}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,8 +185,8 @@ class Export(ReadingOptions):
 def export(options: Export) -> int:
     """Write the files and print their paths. Returns 0."""
     print(*exported(options), sep="\n")
-    known = {"--scene": options.scene} if options.scene else {"--target": options.target}
-    of = [word for flag, value in known.items() if value for word in (flag, value)]
+    target = ["--target", options.target] if options.target else []
+    of = ["--scene", options.scene] if options.scene else target
     print(next_command("solidify", options.soup, *of, "--out", "mesh.ply"))
     return 0
 
