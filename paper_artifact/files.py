@@ -190,7 +190,7 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
         yield new
         with _writing(folder), _alone_in(folder):
             files = (each for each in new.rglob("*") if each.is_file())
-            made = {each.relative_to(new).as_posix(): _sha256(each) for each in files}
+            made = {each.relative_to(new).as_posix(): file_digest(each) for each in files}
             for each in (names, made):
                 _check_own(folder, part, each)
             _move_in(new, made, folder, part)
@@ -221,13 +221,14 @@ def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
             f"{foreign} is there and was not written by this command; choose a new or an empty folder"
         )
     for name, digest in (before or {}).items():
-        if digest and (path := inside(folder, name)).is_file() and _sha256(path) not in digest.split():
+        if digest and (path := inside(folder, name)).is_file() and file_digest(path) not in digest.split():
             raise InputError(
                 f"{path} was changed since this command wrote it; move it elsewhere, or choose another folder"
             )
 
 
-def _sha256(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """Return the sha256 (hex) of a file's bytes. Raises OSError when it cannot be read."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -6,8 +6,6 @@ turned so that +z is up in the mean picture, as its EXIF orientation has it (`pi
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -20,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from paper_artifact import __version__
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, write_json
+from paper_artifact.files import file_digest, load_json, write_json
 from paper_artifact.photos.pictures import (
     LEVEL,
     QUALITY,
@@ -35,7 +33,7 @@ from paper_artifact.photos.pictures import (
 from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION, holds, value_digest, whole_folder
 from paper_artifact.scene.load import AUTO
 
 FORMAT = 4  # raised whenever the same photographs would give another scene
@@ -64,8 +62,7 @@ class PhotosConfig:
     def key(self, digests: Mapping[str, str]) -> str:
         """Return the digest of a scene that is made of files with these digests, by name."""
         said = {name: value for name, value in asdict(self).items() if value is not None}
-        content = {"format": FORMAT, "config": said, "photographs": digests}
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return value_digest({"format": FORMAT, "config": said, "photographs": digests})
 
 
 def photographs_scene(
@@ -89,10 +86,7 @@ def photographs_scene(
     if config.every is not None and not video:
         raise InputError(f"--every belongs to a video ({' '.join(VIDEOS)}); {source} is none")
     photographs = {source.name: source} if video else photographs_in(source)
-    digests = {}
-    for name, file in photographs.items():
-        with open(file, "rb") as read:
-            digests[name] = hashlib.file_digest(read, "sha256").hexdigest()
+    digests = {name: file_digest(file) for name, file in photographs.items()}
     key = config.key(digests)
     if holds(folder, key):
         try:

@@ -6,8 +6,6 @@ views and the ground truth stay clean.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -24,7 +22,14 @@ from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, Camera, fibonacci_cameras, unframed
 from paper_artifact.scene.colmap import pinhole_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH, held_files, holds, whole_folder
+from paper_artifact.scene.folder import (
+    DESCRIPTION,
+    GROUND_TRUTH,
+    held_files,
+    holds,
+    value_digest,
+    whole_folder,
+)
 from paper_artifact.scene.ground_truth import (
     background_colour,
     mesh_texture,
@@ -157,7 +162,7 @@ def scene_key(mesh: Mesh, config: SceneConfig) -> str:
     if config.perturbation == CLEAN:  # a clean scene keeps the key it had before there were others
         del values["perturbation"]
     content = {"format": SCENE_FORMAT, "config": values, "mesh": mesh_hash(mesh), "name": mesh.name}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return value_digest(content)
 
 
 def scene_folder(mesh: Mesh, config: SceneConfig, root: Path | str) -> Path:

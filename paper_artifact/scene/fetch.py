@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, check_writable, write_bytes, write_failure
+from paper_artifact.files import REPOSITORY, check_writable, file_digest, write_bytes, write_failure
 
 DOWNLOADS = REPOSITORY / "data_scripts" / "downloads"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
@@ -230,15 +230,7 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
     asked = mirror if mirror is not None else os.environ.get(MIRROR_VARIABLE) or None
     if asked is None:
         place = f"{RAW}/{entry.repository}/{entry.commit}/{urllib.parse.quote(entry.path)}"
-        bar = tqdm(
-            desc=f"fetch {entry.key}",
-            total=entry.bytes,
-            unit="B",
-            unit_scale=True,
-            leave=False,
-            disable=quiet,
-        )
-        origin, reader = place, pooch.HTTPDownloader(progressbar=bar, timeout=TIMEOUT)
+        origin, reader = place, pooch.HTTPDownloader(progressbar=not quiet, timeout=TIMEOUT)
     else:
         folder = Path(os.path.expanduser(asked))
         place, origin, reader = str(folder / entry.relative_path), str(folder), _copy
@@ -286,7 +278,4 @@ def _copy(place: str, output_file: str, _: object) -> None:
 
 
 def _has_hash(path: Path, sha256: str) -> bool:
-    if not path.is_file():
-        return False
-    with open(path, "rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest() == sha256
+    return path.is_file() and file_digest(path) == sha256

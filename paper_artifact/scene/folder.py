@@ -9,11 +9,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os.path import isdir
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import clear_partials, inside, load_json, partial_folder, plain, write_failure
+from paper_artifact.files import (
+    clear_partials,
+    file_digest,
+    inside,
+    load_json,
+    partial_folder,
+    plain,
+    write_failure,
+)
 from paper_artifact.formats.named import find_file
 from paper_artifact.scene.colmap import FARTHEST, FILES, model_files, read_model
 from paper_artifact.scene.images import mask_of, read_file
@@ -98,24 +107,21 @@ def read_description(root: Path) -> dict:
             and isinstance(description.get("files", {}), dict)
             and isinstance(description.get("holdout", ""), str)
         )
+        if not sound:
+            raise ValueError("a background, radius or holdout (a text) out of range")
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"{file} is damaged ({error}); remove the scene's folder and build it again"
         ) from error
-    if not sound:
-        raise InputError(
-            f"{file} has a background, radius or holdout (a text) out of range; remove the scene's folder "
-            "and build it again"
-        )
     return description
 
 
 def held_files(root: Path) -> dict[str, str]:
     """Return {path within the folder: sha256 (hex)} of all files of a scene that is being built."""
     files = sorted(path for path in root.rglob("*") if path.is_file())
-    return {path.relative_to(root).as_posix(): _sha256_of(path.read_bytes()) for path in files}
+    return {path.relative_to(root).as_posix(): file_digest(path) for path in files}
 
 
 def check_files(root: Path, description: dict) -> None:
@@ -123,7 +129,7 @@ def check_files(root: Path, description: dict) -> None:
     others, and of older versions, say nothing."""
     for name, expected in description.get("files", {}).items():
         file = inside(root, name)
-        if file.is_file() and _sha256_of(file.read_bytes()) != expected:
+        if file.is_file() and file_digest(file) != expected:
             raise InputError(
                 f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
                 f'scene and build it again, or, if it was changed on purpose, "files" in {DESCRIPTION}'
@@ -139,7 +145,7 @@ def scene_digest(root: Path) -> str:
     folder = model_folder(root)
     names = sorted(pose.name for pose in read_model(folder).images.values())
     files = zip(FILES, model_files(folder), strict=True)
-    held = {f"model/{name}": _sha256_of(file.read_bytes()) for name, file in files}
+    held = {f"model/{name}": file_digest(file) for name, file in files}
     for name in names:
         if (file := image_file(root, name)) is None:
             continue  # `load_scene` leaves such views out
@@ -149,7 +155,12 @@ def scene_digest(root: Path) -> str:
     description = read_description(root)
     said = {key: description.get(key) for key in ("background", "radius", "holdout")}
     said["own"] = "key" in description
-    return _sha256_of(json.dumps([held, said], sort_keys=True).encode())
+    return value_digest([held, said])
+
+
+def value_digest(value: Any) -> str:
+    """Return the sha256 (hex) of a value that JSON can write."""
+    return _sha256_of(json.dumps(value, sort_keys=True).encode())
 
 
 def _sha256_of(data: bytes) -> str:

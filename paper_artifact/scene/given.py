@@ -6,13 +6,13 @@ run, with digests in their place.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paper_artifact.config import NOISES, GivenConfig, RunConfig
 from paper_artifact.errors import InputError
+from paper_artifact.files import file_digest
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.scene.folder import model_folder, scene_digest, scene_name, scene_root
 from paper_artifact.scene.shapes import find_mesh, is_named
@@ -90,7 +90,7 @@ def _scene(config: RunConfig) -> Given:
         from paper_artifact.topology.bundle import load_bundle
 
         mesh, bundle = None, load_bundle(given.target)
-        target = hashlib.sha256(Path(given.target).read_bytes()).hexdigest()
+        target = file_digest(Path(given.target))
         if config.allocation is not None:
             raise InputError(f"condition {config.condition} needs a mesh as --target, not a bundle")
         if loss is not None and loss.kind in NEEDS_TARGET:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageChops, UnidentifiedImageError
+from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside
@@ -72,7 +74,7 @@ def composited(pixels: Pixels, background: np.ndarray, downscale: float = 1.0) -
         over = colours.astype(np.float32) / 255 * part + background * (1 - part)
         colours = np.rint(255 * over).astype(np.uint8)
     if downscale != 1:
-        height, width = smaller(colours.shape[:2], downscale)
+        height, width = (max(1, round(side / downscale)) for side in colours.shape[:2])
         colours = np.asarray(Image.fromarray(colours).resize((width, height), Image.Resampling.BOX))
     return np.ascontiguousarray(colours.transpose(2, 0, 1))
 
@@ -80,12 +82,6 @@ def composited(pixels: Pixels, background: np.ndarray, downscale: float = 1.0) -
 def is_blank(picture: np.ndarray) -> bool:
     """Return whether a picture (3,H,W) uint8 is of a single colour."""
     return bool(np.ptp(picture, axis=(1, 2)).max() < BLANK)
-
-
-def smaller(size: tuple[int, ...], downscale: float) -> tuple[int, int]:
-    """Return (height, width) in pixels of an image of `size` (height, width) made smaller by `downscale`."""
-    height, width = (max(1, round(side / downscale)) for side in size)
-    return height, width
 
 
 def mask_of(folder: Path, name: str) -> Path | None:
@@ -173,6 +169,13 @@ def as_mask(picture: Image.Image, file: Path) -> Image.Image:
     if 0 < lightest < LIGHT:
         raise InputError(f"the mask {file} has values up to {lightest}; save what counts as white, 255")
     return kept
+
+
+def tell_some(path: Path, names: Sequence[str], count: int, what: str) -> None:
+    """Say on stderr what holds for `names`, some of the `count` that `path` lists; nothing for none."""
+    if names:
+        shown = ", ".join(names[:4]) + " …" * (len(names) > 4)
+        tqdm.write(f"{path}: {len(names)} of {count} {what}: {shown}", file=sys.stderr)
 
 
 def sizes_told(sizes: Mapping[tuple[int, int], int]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
 from paper_artifact import arithmetic
 from paper_artifact.errors import InputError, real, require_memory
@@ -27,6 +25,7 @@ from paper_artifact.scene.images import (
     read_file,
     read_pixels,
     sizes_told,
+    tell_some,
 )
 
 MEAN = "mean"  # as a background: the mean colour of the photographs
@@ -92,8 +91,8 @@ def load_scene(
     description = read_description(path)
     check_files(path, description)
     model = read_model(model_folder(path))
-    order, files = _views(path, model, complete="key" in description)
-    names = tuple(model.images[image].name for image in order)
+    found = _views(path, model, complete="key" in description)
+    names, files = tuple(model.images[image].name for image in found), [*found.values()]
     if len(names) < 2:
         raise InputError(f"{path} has {len(names)} views; at least 2 are needed, one of them is held out")
     if len(set(names)) < len(names):
@@ -106,7 +105,7 @@ def load_scene(
     radius = float(description.get("radius", 0.0)) or radius
     frame = frame_for(centre, radius)
     radius = frame.length(radius)
-    cameras = [framed(model.camera(image), frame) for image in order]
+    cameras = [framed(model.camera(image), frame) for image in found]
     centres = np.stack([camera.position for camera in cameras])
     own = str(EVERY) if "key" in description else AUTO  # the study's scenes keep their held-out views
     chosen = held_out(description.get("holdout", own) if holdout is None else str(holdout), names, centres)
@@ -141,8 +140,7 @@ def load_scene(
             "photographs to `python -m paper_artifact photos`, which brings them to one"
         )
     blank = [name for name, image in zip(names, images, strict=True) if is_blank(image)]
-    if blank:
-        _tell(path, blank, len(names), "photographs are of a single colour and show nothing")
+    tell_some(path, blank, len(names), "photographs are of a single colour and show nothing")
     return Scene(
         path=path,
         names=names,
@@ -161,29 +159,21 @@ def load_scene(
     )
 
 
-def _views(path: Path, model: Model, complete: bool) -> tuple[list[int], list[Path]]:
-    """Return the images whose photograph is there, by name, and the files; a line names the others.
+def _views(path: Path, model: Model, complete: bool) -> dict[int, Path]:
+    """Return the photographs that are there by image, in the order of their names; a line tells the others.
 
     complete: raise InputError for the first that is not there, as for fewer than two views left.
     """
-    order = sorted(model.images, key=lambda image: model.images[image].name)
-    files = [image_file(path, model.images[image].name) for image in order]
-    missing = [model.images[image].name for image, file in zip(order, files, strict=True) if file is None]
-    if missing and (complete or len(missing) > len(order) - 2):
+    poses = sorted(model.images.items(), key=lambda each: each[1].name)
+    files = {image: image_file(path, pose.name) for image, pose in poses}
+    missing = [pose.name for image, pose in poses if files[image] is None]
+    if missing and (complete or len(missing) > len(poses) - 2):
         raise InputError(
             f"no image at {path / 'images' / missing[0]}, which the COLMAP model lists ({len(missing)} of "
-            f"{len(order)} are missing); copy the images folder too"
+            f"{len(poses)} are missing); copy the images folder too"
         )
-    if missing:
-        _tell(path, missing, len(order), "views are left out, their images are not there")
-    kept = [(image, file) for image, file in zip(order, files, strict=True) if file is not None]
-    return [image for image, _ in kept], [file for _, file in kept]
-
-
-def _tell(path: Path, found: list[str], count: int, what: str) -> None:
-    """Say on stderr what holds for some of the views, which are named."""
-    names = ", ".join(found[:4]) + " …" * (len(found) > 4)
-    tqdm.write(f"{path}: {len(found)} of {count} {what}: {names}", file=sys.stderr)
+    tell_some(path, missing, len(poses), "views are left out, their images are not there")
+    return {image: file for image, file in files.items() if file is not None}
 
 
 def _mean_colour(pictures: Iterable[Pixels]) -> np.ndarray:

@@ -8,8 +8,6 @@ with x right, y up, z backward, and a `mask_path`; at the root a cloud, `ply_fil
 
 from __future__ import annotations
 
-import hashlib
-import json
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -23,15 +21,15 @@ from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, write_json
+from paper_artifact.files import file_digest, load_json, write_json
 from paper_artifact.formats.named import find_file
 from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, pinhole_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION, holds, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION, holds, value_digest, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
-from paper_artifact.scene.images import as_mask, has_transparency, opened, sizes_told
+from paper_artifact.scene.images import as_mask, has_transparency, opened, sizes_told, tell_some
 from paper_artifact.scene.lens import DISTORTION, least_zoom, undistorted
 from paper_artifact.scene.subject import hull_cloud, view_box
 
@@ -84,7 +82,7 @@ class View(NamedTuple):
     image: Path  # its file
     camera: Camera  # at the image's full size, without the distortion
     mask: Path | None  # an image of the same size, white where the picture counts
-    distortion: tuple[float, ...]  # k1, k2, k3, p1, p2; none where all are zero
+    distortion: tuple[float, ...]  # k1, k2, k3, p1, p2
     lens: Camera  # of the distorted image
 
 
@@ -100,30 +98,19 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
         content = load_json(file)
         if content.get("frames") is None:
             raise ValueError("it has no frames")
-        root = {name: value for name, value in content.items() if name != "frames"}
-        frames = [
-            (str(each["file_path"]), np.array(each["transform_matrix"], np.float64), each)
-            for each in content["frames"]
-        ]
-        found = [(name, matrix, each, _named(file, name, ENDINGS)) for name, matrix, each in frames]
-        missing = [name for name, _, _, path in found if path is None]
+        frames = [(each, _named(file, str(each["file_path"]), ENDINGS)) for each in content["frames"]]
+        missing = [str(own["file_path"]) for own, path in frames if path is None]
         if len(frames) - len(missing) < 2:
             raise InputError(
                 f"{file} has {len(frames)} frames, {len(missing)} of them without an image"
                 + (f" ({missing[0]} is not there)" if missing else "")
                 + "; at least 2 are needed, one of them is held out: copy the images too"
             )
-        if missing:
-            tqdm.write(
-                f"{file}: {len(missing)} of {len(frames)} frames are left out, their images are not there: "
-                + ", ".join(missing[:4])
-                + (" …" if len(missing) > 4 else ""),
-                file=sys.stderr,
-            )
-        kept = [(name, matrix, own, path) for name, matrix, own, path in found if path is not None]
+        tell_some(file, missing, len(frames), "frames are left out, their images are not there")
+        kept = [(own, path) for own, path in frames if path is not None]
         if views is not None and views < len(kept):
             kept = [kept[index] for index in np.linspace(0, len(kept) - 1, views).round().astype(int)]
-        return [_frame(file, name, matrix, root, own, path) for name, matrix, own, path in kept]
+        return [_frame(file, content, own, path) for own, path in kept]
     except InputError:
         raise
     except OSError as error:
@@ -148,11 +135,9 @@ def transforms_scene(
     sizes = Counter((view.camera.width, view.camera.height) for view in frames)
     if len(sizes) > 1:
         raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; scale them to one size")
-    key = _key(
-        [Path(file), *(view.image for view in frames), *(view.mask for view in frames if view.mask)]
-        + ([given] if given else []),
-        config,
-    )
+    files = [Path(file), *(view.image for view in frames), *(view.mask for view in frames), given]
+    digests = [file_digest(each) for each in files if each is not None]
+    key = value_digest({"format": FORMAT, "config": asdict(config), "files": digests})
     if holds(folder, key):
         return folder
     with whole_folder(folder, key) as temporary:
@@ -198,15 +183,15 @@ def _named(file: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path | No
         ) from error
 
 
-def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, path: Path) -> View:
-    """Return a frame, its image at `path`; `matrix`: camera → world, `own`: its keys, `root`: the file's."""
-    if matrix.shape == (3, 4):
-        matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
-    square = matrix.shape == (4, 4) and np.abs(matrix).max() < FARTHEST
-    axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30) if square else matrix
-    if not square or arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
+def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
+    """Return a frame, its image at `path`; `own`: what it says, `root`: what the file says of all frames."""
+    name, matrix = str(own["file_path"]), np.array(own["transform_matrix"], np.float64)
+    axes = np.zeros((3, 3))
+    if matrix.shape in ((3, 4), (4, 4)) and np.abs(matrix).max() < FARTHEST:
+        axes = matrix[:3, :3] / np.maximum(arithmetic.norm(matrix[:3, :3].T), 1e-30)
+    if arithmetic.adjugate(axes)[1] < RIGHT_ANGLED:
         raise InputError(f"{file}: the transform_matrix of {name} is no pose; export it again")
-    if not np.abs(matrix[3] - (0, 0, 0, 1)).max() < 1e-6:
+    if not np.abs(matrix[3:] - (0, 0, 0, 1)).max(initial=0.0) < 1e-6:
         raise InputError(
             f"{file}: the transform_matrix of {name} ends with the row {matrix[3].tolist()}, not 0, 0, 0, 1; "
             "if it lists columns, transpose it"
@@ -241,13 +226,9 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
             f"{file}: {name} has {width}×{height} pixels, and its w and h are {values['w']:g} and "
             f"{values['h']:g}, another aspect; give the images that the cameras are of"
         )
-    focal = _focal(
-        {key: float(own[key]) for key in INTRINSICS[:4] if own.get(key) is not None},
-        width,
-        height,
-        across,
-        down,
-    ) or _focal(values, width, height, across, down)
+    sizes = (width, height, across, down)
+    its_own = {key: values[key] for key in INTRINSICS[:4] if own.get(key) is not None}
+    focal = _focal(its_own, *sizes) or _focal(values, *sizes)
     if focal is None:
         raise InputError(
             f"{file} has no focal length above 0 of {name} (fl_x, fl_y, camera_angle_x or camera_angle_y); "
@@ -281,16 +262,14 @@ def _frame(file: Path, name: str, matrix: np.ndarray, root: dict, own: dict, pat
             "the size that it is for"
         )
     distortion = tuple(values.get(key, 0.0) for key in DISTORTION)
-    if any(distortion):
-        zoom = least_zoom(camera, distortion)
-        if zoom is None:
-            raise InputError(
-                f"{file}: {name} has a distortion {distortion} that folds its image; undistort the images "
-                "first, as COLMAP's image_undistorter does"
-            )
-        straight = replace(camera, focal_x=camera.focal_x * zoom, focal_y=camera.focal_y * zoom)
-        return View(path, straight, mask, distortion, camera)
-    return View(path, camera, mask, (), camera)
+    zoom = least_zoom(camera, distortion) if any(distortion) else 1.0
+    if zoom is None:
+        raise InputError(
+            f"{file}: {name} has a distortion {distortion} that folds its image; undistort the images "
+            "first, as COLMAP's image_undistorter does"
+        )
+    straight = replace(camera, focal_x=camera.focal_x * zoom, focal_y=camera.focal_y * zoom)
+    return View(path, straight, mask, distortion, camera)
 
 
 def _focal(
@@ -320,7 +299,7 @@ def _picture(view: View) -> Image.Image:
                 f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; scale them to one size"
             )
         image.putalpha(ImageChops.multiply(image.getchannel("A"), kept))
-    return undistorted(image, view.lens, view.camera, view.distortion) if view.distortion else image
+    return undistorted(image, view.lens, view.camera, view.distortion) if any(view.distortion) else image
 
 
 def _given_cloud(file: Path) -> Path | None:
@@ -374,10 +353,3 @@ def _cloud(
     if not clear or all(mask.all() for _, mask in clear):
         raise InputError("no image is transparent anywhere, so there is no outline; take --cloud random")
     return hull_cloud([each for each, _ in clear], [mask for _, mask in clear], config.points, draws)
-
-
-def _key(files: Sequence[Path], config: TransformsConfig) -> str:
-    """Return the sha256 (hex) of everything that the scene's files depend on."""
-    digests = [hashlib.sha256(each.read_bytes()).hexdigest() for each in files]
-    content = {"format": FORMAT, "config": asdict(config), "files": digests}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
