@@ -21,7 +21,7 @@ from scipy.ndimage import laplace
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.scene.folder import DESCRIPTION
+from paper_artifact.scene.folder import DESCRIPTION, SMALLER_IMAGES, UNDISTORTED
 from paper_artifact.scene.images import has_transparency, is_blank, opened, sizes_told
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".mpg", ".mpeg", ".wmv")
@@ -30,32 +30,9 @@ COMPLETE = 0.95  # of the frames, or the length, that a video declares; some end
 SHARPNESS_WIDTH = 320  # pixels of the frames that sharpness is compared on
 LEAST = 3  # photographs that a model is made of at least; fewer give no surface
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
-UNREAD = (
-    ".heic",
-    ".heif",
-    ".avif",
-    ".jxl",
-    ".jp2",
-    ".gif",
-    ".dng",
-    ".cr2",
-    ".cr3",
-    ".nef",
-    ".arw",
-    ".orf",
-    ".rw2",
-)
-DERIVED = (
-    "masks",
-    "mask",
-    "dense",
-    "undistorted",
-    "images_2",
-    "images_4",
-    "images_8",
-    "thumbs",
-    "thumbnails",
-)
+RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
+UNREAD = (".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif", *RAW)
+DERIVED = ("masks", "mask", UNDISTORTED, "undistorted", *SMALLER_IMAGES, "thumbs", "thumbnails")
 QUALITY = 95  # of JPEG files written between photograph and scene
 LEAST_KEPT = 0.5  # part of the most frequent size's pixels that the common size must have, or it is told
 LENS_TAGS = (
@@ -184,9 +161,9 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
             length = (container.duration or 0) / 1e6
             if seen < COMPLETE * stream.frames or (not stream.frames and time < COMPLETE * length):
                 raise InputError(f"{video} is cut off: it says {total} frames and has {seen}; copy it again")
-    except (av.FFmpegError, OSError, ValueError) as error:
-        if isinstance(error, OSError) and not isinstance(error, av.FFmpegError):
-            raise
+    except InputError:
+        raise
+    except (av.FFmpegError, ValueError) as error:
         raise InputError(
             f"{video} is not a video that can be decoded ({error}); convert it to MP4 (H.264)"
         ) from error
@@ -231,7 +208,7 @@ def prepared(
     shapes, faults = {}, []
     for name, file in photographs.items():
         try:
-            with opened(file, file) as read:
+            with opened(file) as read:
                 shapes[name] = read.size
         except InputError as error:
             faults.append(str(error))
@@ -243,7 +220,7 @@ def prepared(
         turned = shape[0] > shape[1] if tall else shape[0] < shape[1]
         target = folder / f"{name}.jpg"
         try:
-            with opened(photographs[name], photographs[name]) as read:
+            with opened(photographs[name]) as read:
                 exif, orientation = _camera_tags(read)
                 x, y = UP.get(orientation, LEVEL)
                 read.draft("RGB", (size, size))

@@ -107,12 +107,7 @@ def register(
         seeded.random_seed = SEED
     for summed in (options, options.mapper):  # threads add up in an order of their own; the time is the same
         summed.num_threads = 1
-    seen = 0
-
-    def count(more: int) -> None:
-        nonlocal seen
-        seen += more
-
+    seen: list[int] = []  # photographs that each callback brought
     found = _stage(
         ("mapping", "photo", len(names)),
         lambda token: colmap.incremental_mapping(
@@ -120,11 +115,11 @@ def register(
             pictures,
             work / "models",
             options=options,
-            initial_image_pair_callback=lambda: count(2),
-            next_image_callback=lambda: count(1),
+            initial_image_pair_callback=lambda: seen.append(2),
+            next_image_callback=lambda: seen.append(1),
             cancellation_token=token,
         ),
-        lambda: seen,
+        lambda: sum(seen),
         progress,
     )
     best = max(found, key=lambda index: found[index].num_reg_images(), default=None)

@@ -59,11 +59,6 @@ class PhotosConfig:
         if self.every is not None and self.every < 1:
             raise InputError(f"--every must be at least 1, got {self.every}")
 
-    def key(self, digests: Mapping[str, str]) -> str:
-        """Return the digest of a scene that is made of files with these digests, by name."""
-        said = {name: value for name, value in asdict(self).items() if value is not None}
-        return value_digest({"format": FORMAT, "config": said, "photographs": digests})
-
 
 def photographs_scene(
     source: Path | str,
@@ -87,7 +82,8 @@ def photographs_scene(
         raise InputError(f"--every belongs to a video ({' '.join(VIDEOS)}); {source} is none")
     photographs = {source.name: source} if video else photographs_in(source)
     digests = {name: file_digest(file) for name, file in photographs.items()}
-    key = config.key(digests)
+    said = {name: value for name, value in asdict(config).items() if value is not None}
+    key = value_digest({"format": FORMAT, "config": said, "photographs": digests})
     if holds(folder, key):
         try:
             held = load_json(folder / DESCRIPTION)["photographs"]
@@ -166,7 +162,9 @@ def upright(model: Model, up_of: Mapping[str, tuple[float, float]] | None = None
 
     up_of: where up is in a picture, by its name: x to the right, y down, `LEVEL` for those not named.
     """
-    rotations = {index: _rotation(pose.quaternion) for index, pose in model.images.items()}
+    rotations = {
+        index: Rotation.from_quat(pose.quaternion, scalar_first=True) for index, pose in model.images.items()
+    }
     up = np.zeros(3)
     for index, rotation in rotations.items():
         x, y = (up_of or {}).get(model.images[index].name, LEVEL)
@@ -185,10 +183,6 @@ def upright(model: Model, up_of: Mapping[str, tuple[float, float]] | None = None
 def _quaternion(rotation: Rotation) -> tuple[float, float, float, float]:
     w, x, y, z = map(float, rotation.as_quat(scalar_first=True))
     return w, x, y, z
-
-
-def _rotation(quaternion: tuple[float, ...]) -> Rotation:
-    return Rotation.from_quat(quaternion, scalar_first=True)
 
 
 def useless(blank: Sequence[str], digests: Mapping[str, str]) -> list[str]:

@@ -31,7 +31,8 @@ DESCRIPTION = "scene.json"
 GROUND_TRUTH = "ground_truth.npz"
 # Where models and photographs lie, the usual place first; model folders may hold the model in a folder 0, 1 …
 MODEL_FOLDERS = ("sparse", "colmap/sparse", ".")
-IMAGE_FOLDERS = ("images", "input", "images_2", "images_4", "images_8")
+SMALLER_IMAGES = ("images_2", "images_4", "images_8")
+IMAGE_FOLDERS = ("images", "input", *SMALLER_IMAGES)
 UNDISTORTED = "dense"  # what COLMAP and pycolmap call the folder of the undistorted photographs
 
 

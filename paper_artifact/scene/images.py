@@ -1,4 +1,8 @@
-"""Photographs from disk: pixels, transparency and masks, one file at a time, 8 bit a value."""
+"""Photographs from disk: pixels, transparency and masks, one file at a time, 8 bit a value.
+
+OpenCV's lens distortion is taken out of pictures: the pinhole picture of the same camera, enlarged so far
+that no corner stays empty.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +18,10 @@ import numpy as np
 from PIL import Image, ImageChops, UnidentifiedImageError
 from tqdm import tqdm
 
+from paper_artifact.arithmetic import exp, log
 from paper_artifact.errors import InputError
 from paper_artifact.files import inside
+from paper_artifact.scene.cameras import Camera
 
 COLOURS = ("RGB", "RGBA", "P", "PA", "CMYK", "YCbCr")
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
@@ -24,6 +30,9 @@ BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
 LIGHT = 240  # of 255: a mask's white is at least this
 COLOURED = 60  # of 255: what a grey pixel's channels differ by at most, a JPEG's too
 MOST_PIXELS = 2**27  # of one image: 134 million
+DISTORTION = ("k1", "k2", "k3", "p1", "p2")  # OpenCV's, see `_source`
+MOST_ZOOM = 4.0
+STEPS = 64  # along a side and along a ray, where a picture is checked
 
 
 class Pixels(NamedTuple):
@@ -33,14 +42,14 @@ class Pixels(NamedTuple):
     alpha: np.ndarray | None  # (H,W) uint8, 255 opaque; None: all of it is
 
 
-def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None) -> Pixels:
-    """Return the picture in `data`, the content of `file`, with its transparency.
+def read_pixels(file: Path, aspect: float, mask: Path | None = None) -> Pixels:
+    """Return the picture in `file` with its transparency.
 
     aspect: the camera's width / height, which it must have; resized copies are welcome. mask: an image of the
-    same size, see `as_mask`. Raises InputError for what is no 8-bit image, another aspect, or a mask of
+    same size, see `_as_mask`. Raises InputError for what is no 8-bit image, another aspect, or a mask of
     another size.
     """
-    picture = _decoded(data, file)
+    picture = _decoded(file)
     if has_transparency(picture):
         both = np.asarray(picture.convert("RGBA"))
         colours, alpha = both[..., :3], both[..., 3]
@@ -52,7 +61,7 @@ def read_pixels(data: bytes, file: Path, aspect: float, mask: Path | None = None
             f"{file} has {width}×{height} pixels, another aspect than its camera; use the undistorted images"
         )
     if mask is not None:
-        kept = np.asarray(as_mask(_decoded(mask.read_bytes(), mask), mask))
+        kept = np.asarray(_as_mask(_decoded(mask), mask))
         if kept.shape != colours.shape[:2]:
             raise InputError(
                 f"the mask {mask} has {kept.shape[1]}×{kept.shape[0]} pixels, its photograph "
@@ -114,19 +123,20 @@ def read_file(file: Path) -> bytes:
         raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
 
 
-def _decoded(data: bytes, file: Path) -> Image.Image:
-    with opened(io.BytesIO(data), file) as picture:
+def _decoded(file: Path) -> Image.Image:
+    with opened(file, io.BytesIO(read_file(file))) as picture:
         picture.load()
         return picture.copy()
 
 
 @contextmanager
-def opened(source: Path | io.BytesIO, file: Path) -> Iterator[Image.Image]:
-    """Yield the picture in `source`, not yet decoded, for a block that decodes it.
+def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Image]:
+    """Yield the picture in `file`, not yet decoded, for a block that decodes it; content: its bytes.
 
     Raises InputError, which names `file`, for more than MOST_PIXELS, for pixels deeper than 8 bit, and for
     whatever goes wrong in the block.
     """
+    source = content or file
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(source, formats=IMAGE_FORMATS) as picture:
             width, height = picture.size
@@ -156,7 +166,7 @@ def has_transparency(picture: Image.Image) -> bool:
     return picture.mode in TRANSPARENT or "transparency" in picture.info
 
 
-def as_mask(picture: Image.Image, file: Path) -> Image.Image:
+def _as_mask(picture: Image.Image, file: Path) -> Image.Image:
     """Return a mask (type L): white where the photograph counts, black where it does not or where the mask is
     transparent, grey in between. Raises InputError for a coloured one, and for one that is neither black nor
     has white, as masks of the values 0 and 1."""
@@ -183,3 +193,53 @@ def sizes_told(sizes: Mapping[tuple[int, int], int]) -> str:
     ranked = sorted(sizes.items(), key=lambda item: (-item[1], item[0]))
     more = f" and {len(ranked) - 6} more" if len(ranked) > 6 else ""
     return ", ".join(f"{width}×{height} ({count})" for (width, height), count in ranked[:6]) + more
+
+
+def least_zoom(lens: Camera, distortion: tuple[float, ...]) -> float | None:
+    """Return the least enlargement, at least 1, whose undistorted picture the distorted one fills; None where
+    the lens folds the picture, or more than MOST_ZOOM would be needed."""
+    side = np.linspace(0, 1, STEPS + 1)
+    u = np.concatenate([side, side, 0 * side, 0 * side + 1]) * lens.width
+    v = np.concatenate([0 * side, 0 * side + 1, side, side]) * lens.height
+    for zoom in exp(log(MOST_ZOOM) * np.arange(200) / 199).tolist():
+        left, top = _source(lens, distortion, zoom, u, v)
+        if min(left.min(), top.min()) < 0 or left.max() > lens.width or top.max() > lens.height:
+            continue
+        across = lens.centre_x + (u - lens.centre_x)[:, None] * side
+        down = lens.centre_y + (v - lens.centre_y)[:, None] * side
+        left, top = _source(lens, distortion, zoom, across, down)
+        outward = np.diff((left - lens.centre_x) ** 2 + (top - lens.centre_y) ** 2, axis=1)
+        return zoom if (outward >= 0).all() else None
+    return None
+
+
+def undistorted(
+    image: Image.Image, lens: Camera, straight: Camera, distortion: tuple[float, ...]
+) -> Image.Image:
+    """Return the picture of the pinhole camera `straight`, of the same size, from that of the `lens`."""
+    from scipy.ndimage import map_coordinates  # only here: most photographs are undistorted
+
+    rows, columns = np.indices(image.size[::-1]) + 0.5
+    left, top = _source(lens, distortion, straight.focal_x / lens.focal_x, columns, rows)
+    pixels = np.asarray(image)
+    channels = [
+        map_coordinates(pixels[..., channel], (top - 0.5, left - 0.5), order=1, mode="nearest")
+        for channel in range(pixels.shape[2])
+    ]
+    return Image.fromarray(np.stack(channels, axis=2))
+
+
+def _source(
+    lens: Camera, distortion: tuple[float, ...], zoom: float, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the distorted picture shows pixels (u, v) of the undistorted one, `zoom` times larger.
+
+    https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html: radial k1, k2, k3, tangential p1, p2.
+    """
+    k1, k2, k3, p1, p2 = distortion
+    x, y = (u - lens.centre_x) / (lens.focal_x * zoom), (v - lens.centre_y) / (lens.focal_y * zoom)
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    across = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    down = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    return across * lens.focal_x + lens.centre_x, down * lens.focal_y + lens.centre_y

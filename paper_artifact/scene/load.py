@@ -22,7 +22,6 @@ from paper_artifact.scene.images import (
     composited,
     is_blank,
     mask_of,
-    read_file,
     read_pixels,
     sizes_told,
     tell_some,
@@ -114,7 +113,7 @@ def load_scene(
 
     def pixels(view: int) -> Pixels:
         file, camera = files[view], cameras[view]
-        return read_pixels(read_file(file), file, camera.width / camera.height, mask_of(path, names[view]))
+        return read_pixels(file, camera.width / camera.height, mask_of(path, names[view]))
 
     if background == MEAN:
         colour = _mean_colour(pixels(int(view)) for view in train)

@@ -232,6 +232,8 @@ def _carved(
 
     blur: distance (world units) that a cell's middle may miss an outline by.
     """
+    from scipy.ndimage import maximum_filter  # only here: runs need the ball alone
+
     index = np.indices((cells,) * 3).reshape(3, -1).T
     points = low + (index + 0.5) * step
     left = np.arange(len(points))
@@ -246,17 +248,12 @@ def _carved(
         known = (
             (seen[:, 2] > 0) & (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         )
-        wide = _grown(mask, int(np.ceil(blur * camera.focal_x / depth.min()))) if blur else mask
+        if blur:
+            reach = min(int(np.ceil(blur * camera.focal_x / depth.min())), max(mask.shape))  # pixels
+            mask = maximum_filter(mask, size=2 * reach + 1)
         shown[left] += known
-        known[known] = ~wide[row[known], column[known]]
+        known[known] = ~mask[row[known], column[known]]
         left = left[~known]
     inside = np.zeros(cells**3, bool)
     inside[left[2 * shown[left] >= len(cameras)]] = True
     return inside.reshape((cells,) * 3)
-
-
-def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
-    """Return the mask grown by a square of `radius` pixels."""
-    from scipy.ndimage import maximum_filter
-
-    return maximum_filter(mask, size=2 * min(radius, max(mask.shape)) + 1)

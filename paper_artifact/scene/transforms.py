@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, ImageChops
+from PIL import Image
 from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
@@ -29,8 +29,15 @@ from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, pinhole_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION, holds, value_digest, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
-from paper_artifact.scene.images import as_mask, has_transparency, opened, sizes_told, tell_some
-from paper_artifact.scene.lens import DISTORTION, least_zoom, undistorted
+from paper_artifact.scene.images import (
+    DISTORTION,
+    least_zoom,
+    opened,
+    read_pixels,
+    sizes_told,
+    tell_some,
+    undistorted,
+)
 from paper_artifact.scene.subject import hull_cloud, view_box
 
 FORMAT = 1  # raised whenever the same file would give another scene
@@ -213,7 +220,7 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
         mask = _named(file, str(own["mask_path"]))
         if mask is None:
             raise InputError(f"{file} names the mask {own['mask_path']}, which is not there; copy it too")
-    with opened(path, path) as image:
+    with opened(path) as image:
         width, height = image.size
     values = {key: float(both[key]) for key in INTRINSICS if both.get(key) is not None}
     for key, value in values.items():
@@ -289,16 +296,8 @@ def _of_angle(angle: float | None, side: int) -> float:
 
 def _picture(view: View) -> Image.Image:
     """Return a frame's picture, RGB or RGBA, with its mask, undistorted."""
-    with opened(view.image, view.image) as read:
-        image = read.convert("RGBA" if has_transparency(read) or view.mask is not None else "RGB")
-    if view.mask is not None:
-        with opened(view.mask, view.mask) as read:
-            kept = as_mask(read, view.mask)
-        if kept.size != image.size:
-            raise InputError(
-                f"the mask {view.mask} has {kept.size} pixels, its image {image.size}; scale them to one size"
-            )
-        image.putalpha(ImageChops.multiply(image.getchannel("A"), kept))
+    colours, alpha = read_pixels(view.image, view.camera.width / view.camera.height, view.mask)
+    image = Image.fromarray(colours if alpha is None else np.dstack([colours, alpha]))
     return undistorted(image, view.lens, view.camera, view.distortion) if any(view.distortion) else image
 
 
