@@ -49,13 +49,8 @@ def _current_folder() -> Path:
     return Path(os.sep)
 
 
-def _find_checkout(package: Path) -> Path | None:
-    """Return the top of the checkout around the folder `package`, None for none."""
-    above = package.resolve().parent
-    return above if (above / "data_scripts" / "meshes.csv").is_file() else None
-
-
-REPOSITORY = _find_checkout(Path(__file__).parent) or _current_folder()
+_ABOVE = Path(__file__).resolve().parents[1]  # the top of the checkout, if this is one
+REPOSITORY = _ABOVE if (_ABOVE / "data_scripts" / "meshes.csv").is_file() else _current_folder()
 RESULTS = Path(os.environ.get(RESULTS_VARIABLE) or REPOSITORY / "results").absolute()  # runs are written here
 OWN = RESULTS / "own"  # runs on one's own data; git-ignored, and the same from whatever folder one calls
 

@@ -15,21 +15,14 @@ from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
 from paper_artifact.errors import InputError
-from paper_artifact.files import cut_name, write_json, write_npz
+from paper_artifact.files import cut_name, file_digest, write_json, write_npz
 from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, Camera, fibonacci_cameras, unframed
 from paper_artifact.scene.colmap import pinhole_model, write_model
-from paper_artifact.scene.folder import (
-    DESCRIPTION,
-    GROUND_TRUTH,
-    held_files,
-    holds,
-    value_digest,
-    whole_folder,
-)
+from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH, holds, value_digest, whole_folder
 from paper_artifact.scene.ground_truth import (
     background_colour,
     mesh_texture,
@@ -227,6 +220,9 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
         "betti": np.array(mesh.betti or [], dtype=np.int64),
     }
     write_npz(folder / GROUND_TRUTH, truth, compressed=False)
+    files = {
+        path.relative_to(folder).as_posix(): file_digest(path) for path in folder.rglob("*") if path.is_file()
+    }
     write_json(
         folder / DESCRIPTION,
         {
@@ -234,7 +230,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
             "package": __version__,
             "key": key,
             "config": asdict(config) | FIXED,
-            "files": held_files(folder),
+            "files": files,
             "background": background.tolist(),
             "centre": user.centre.tolist(),
             "radius": user.radius,

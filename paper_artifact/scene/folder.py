@@ -119,12 +119,6 @@ def read_description(root: Path) -> dict:
     return description
 
 
-def held_files(root: Path) -> dict[str, str]:
-    """Return {path within the folder: sha256 (hex)} of all files of a scene that is being built."""
-    files = sorted(path for path in root.rglob("*") if path.is_file())
-    return {path.relative_to(root).as_posix(): file_digest(path) for path in files}
-
-
 def check_files(root: Path, description: dict) -> None:
     """Raise InputError when a file of a built scene is not what scene.json ("files") says of it; scenes of
     others, and of older versions, say nothing."""
