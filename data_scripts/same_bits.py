@@ -8,8 +8,6 @@ code is 1 if anything does. A setting takes ten seconds of CPU; numba's compiles
 minutes the first time. tests/test_same_bits.py runs a part of it.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import io
@@ -111,19 +109,12 @@ def made(only: str) -> dict[str, str]:
 
 
 def _write_ball(path: Path) -> None:
-    """Write a ball, far from the origin: an octahedron, cut up four times."""
-    points = np.concatenate([np.eye(3), -np.eye(3)])
-    triangles = [(x, y, z) for x in (0, 3) for y in (1, 4) for z in (2, 5)]
-    corners = points[np.array(triangles)]
-    for _ in range(4):
-        middle = (corners + np.roll(corners, -1, axis=1)) / 2
-        middle /= np.sqrt((middle * middle).sum(axis=2, keepdims=True))
-        a, b, c = np.swapaxes(corners, 0, 1)
-        ab, bc, ca = np.swapaxes(middle, 0, 1)
-        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in corners.reshape(-1, 3) + [40.0, -7.0, 3.0]]
-    lines += [f"f {k + 1} {k + 2} {k + 3}" for k in range(0, 3 * len(corners), 3)]
+    """Write a ball, far from the origin."""
+    from paper_artifact.scene.shapes import make_shape
+
+    ball = make_shape("sphere")
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in ball.vertices + [40.0, -7.0, 3.0]]
+    lines += [f"f {a} {b} {c}" for a, b, c in ball.faces + 1]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

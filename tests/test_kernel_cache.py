@@ -1,8 +1,6 @@
 """Kernels are kept, taken again while nothing that they hold has changed, and do without a folder to be kept
 in."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -117,12 +115,8 @@ def test_a_stamp_covers_what_a_module_imports_however_it_is_written(tmp_path):
     )
     (tmp_path / "room/e.py").write_text("from paper_artifact import d\nfrom paper_artifact.a import x\n")
     found = imported_files(tmp_path / "a.py", tmp_path)
-    assert {str(path.relative_to(tmp_path)) for path in found} == {
-        "b.py",
-        "c.py",
-        "room/__init__.py",
-        "room/e.py",
-    }
+    names = {str(path.relative_to(tmp_path)) for path in found}
+    assert names == {"b.py", "c.py", "room/__init__.py", "room/e.py"}
     stamps = {}
     for name in ("a.py", "b.py", "c.py", "d.py", "room/e.py", "unrelated.py"):
         before = source_stamp(tmp_path / "a.py", tmp_path)

@@ -1,7 +1,5 @@
 """The vector type against numpy, at lengths that are and are not multiples of its width."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 import pytest

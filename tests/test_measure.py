@@ -1,7 +1,6 @@
 """The measurements of data_scripts/measure on tiny cases: what they report, never how long it took."""
 
-from __future__ import annotations
-
+import importlib
 import sys
 import threading
 import types
@@ -12,6 +11,7 @@ import torch
 
 from paper_artifact.alpha.persistence import STAGES, gudhi_persistence
 from paper_artifact.files import REPOSITORY
+from paper_artifact.sampling import face_areas
 from paper_artifact.soup.initialise import initial_soup
 
 FOLDER = REPOSITORY / "data_scripts" / "measure"
@@ -22,31 +22,22 @@ NAMES = ("oineus", "oineus.diff", "diode", "torch_topological", "torch_topologic
 def scripts(monkeypatch):
     """Return the scripts as modules: they import each other by their names."""
     monkeypatch.syspath_prepend(str(FOLDER))
-    import common
-    import cost
-    import gpu
-    import memory
-    import peers
-    import peers_task
-    import speed
-
-    return types.SimpleNamespace(
-        common=common, cost=cost, gpu=gpu, memory=memory, peers=peers, peers_task=peers_task, speed=speed
-    )
+    names = ("common", "cost", "gpu", "memory", "peers", "peers_task", "speed")
+    return types.SimpleNamespace(**{name: importlib.import_module(name) for name in names})
 
 
 @pytest.fixture
-def stand_ins(monkeypatch):
-    """Modules with the peers' calls, on gudhi's pairs.
+def stand_ins(scripts, monkeypatch):
+    """Modules with the peers' calls, on gudhi's pairs; they have no distribution, so no version.
 
     oineus.diff gives squared circumradii by torch's own autograd, torch-topological the longest edges.
     """
+    for script in (scripts.peers, scripts.peers_task):
+        monkeypatch.setattr(script, "version_of", lambda peer: "stand-in")
     modules = {name: types.ModuleType(name) for name in NAMES}
     modules["oineus"].diff = modules["oineus.diff"]
     modules["oineus.diff"].alpha_filtration = lambda points: points
-    modules["oineus.diff"].persistence_diagram = lambda points, n_threads: dict(
-        enumerate(gudhi_diagrams(points, squared_radii))
-    )
+    modules["oineus.diff"].persistence_diagram = lambda points, **_: gudhi_diagrams(points, squared_radii)
     modules["torch_topological.nn"].AlphaComplex = lambda: (
         lambda points: [types.SimpleNamespace(diagram=each) for each in gudhi_diagrams(points, longest_edges)]
     )
@@ -54,24 +45,10 @@ def stand_ins(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module)
 
 
-@pytest.fixture
-def versions(scripts, monkeypatch):
-    """The stand-ins have no distribution."""
-    for module in (scripts.peers, scripts.peers_task):
-        monkeypatch.setattr(module, "version_of", lambda peer: "stand-in")
-
-
 def gudhi_diagrams(points, values):
-    return [
-        torch.stack(
-            [
-                values(points[torch.from_numpy(each)])
-                for each in (pairs.birth_simplices, pairs.death_simplices)
-            ],
-            dim=1,
-        )
-        for pairs in gudhi_persistence(points.detach().numpy())
-    ]
+    found = gudhi_persistence(points.detach().numpy())
+    simplices = [map(torch.from_numpy, (each.birth_simplices, each.death_simplices)) for each in found]
+    return [torch.stack([values(points[each]) for each in both], dim=1) for both in simplices]
 
 
 def squared_radii(corners):
@@ -85,10 +62,7 @@ def squared_radii(corners):
 
 
 def longest_edges(corners):
-    if corners.shape[1] == 1:
-        return corners.new_zeros(len(corners))
-    first, second = np.triu_indices(corners.shape[1], 1)
-    return (corners[:, first] - corners[:, second]).norm(dim=2).max(dim=1).values
+    return torch.cdist(corners, corners).amax(dim=(1, 2))
 
 
 def test_cost_has_every_stage(scripts):
@@ -99,7 +73,7 @@ def test_cost_has_every_stage(scripts):
     assert row["M"] == 300 and row["tetrahedra"] > 300 and row["ratio"] == row["gudhi_ms"] / row["fast_ms"]
 
 
-def test_a_peer_that_computes_the_same_differs_from_one_that_does_not(scripts, stand_ins, versions):
+def test_a_peer_that_computes_the_same_differs_from_one_that_does_not(scripts, stand_ins):
     peers, notes = scripts.peers, []
     ours, same, other = peers.rows_of("torus", 120, 2, peers.PEERS, notes)
     assert notes == [] and [row["library"] for row in (same, other)] == ["oineus.diff", "torch-topological"]
@@ -110,7 +84,7 @@ def test_a_peer_that_computes_the_same_differs_from_one_that_does_not(scripts, s
         assert row["turns"] == 2 and row["ratio"] == pytest.approx(row["ms"] / ours["ms"])
 
 
-def test_a_slow_peer_is_timed_once_and_a_failing_one_is_a_line(scripts, stand_ins, versions, monkeypatch):
+def test_a_slow_peer_is_timed_once_and_a_failing_one_is_a_line(scripts, stand_ins, monkeypatch):
     peers, notes = scripts.peers, []
     monkeypatch.setattr(peers, "SLOW", -1.0)
     sys.modules["torch_topological.nn"].AlphaComplex = lambda: (_ for _ in ()).throw(RuntimeError("no\nluck"))
@@ -124,9 +98,8 @@ def test_a_slow_peer_is_timed_once_and_a_failing_one_is_a_line(scripts, stand_in
 def test_a_missing_peer_is_named_with_how_to_install_it(scripts, monkeypatch):
     for name in NAMES:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(
-        SystemExit, match="oineus.diff: does not import .*install it with: pip install oineus"
-    ):
+    install = "oineus.diff: does not import .*install it with: pip install oineus"
+    with pytest.raises(SystemExit, match=install):
         scripts.peers.collected(scripts.peers.PEERS, None)
 
 
@@ -140,7 +113,7 @@ def test_differences(scripts):
     assert np.isnan(scripts.peers.gradient_difference(ours, np.full((2, 2), np.nan)))
 
 
-def test_everyone_is_given_the_same_task(scripts, stand_ins, versions):
+def test_everyone_is_given_the_same_task(scripts, stand_ins):
     """Our loss and the one of tensors agree; a library that computes the same takes our steps."""
     task, notes = scripts.peers_task, []
     small = task.Task("a small hole", lambda: task.slab(200), (1, 1, 0), 1, 8e-3, steps=40)
@@ -158,13 +131,13 @@ def test_everyone_is_given_the_same_task(scripts, stand_ins, versions):
 def test_a_resized_soup_covers_the_same_surface(scripts, tiny_scene):
     soup = initial_soup(tiny_scene.points, 40, 0)
 
-    def area(corners):
-        a, b, c = corners.detach().unbind(1)
-        return float((b - a).cross(c - a, dim=1).norm(dim=1).sum())
+    def area(soup):
+        corners = soup.vertices.detach().numpy().reshape(-1, 3)
+        return face_areas(corners, np.arange(len(corners)).reshape(-1, 3)).sum()
 
     for count in (41, 80, 300):
         larger = scripts.speed.resized_soup(soup, count)
-        assert len(larger) == count and area(larger.vertices) == pytest.approx(area(soup.vertices), rel=1e-5)
+        assert len(larger) == count and area(larger) == pytest.approx(area(soup), rel=1e-5)
         assert larger.features.shape == (count, 3, 7) and larger.opacity.shape == (count, 3)
     assert len(scripts.speed.resized_soup(soup, 10)) == 10
 

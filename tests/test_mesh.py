@@ -1,7 +1,5 @@
 """Meshes: exact welding, polygons, scene files, and every input that must be refused in a clear sentence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -42,9 +40,8 @@ def test_polygons_are_cut_by_the_fan(tmp_path):
     path = tmp_path / "polygons.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 1 0\nv -1 0 0\nf 1 2 3 4 5\nf 1 5 6\n")
     mesh = load_mesh(path)
-    assert {frozenset(face) for face in mesh.faces.tolist()} == {
-        frozenset(face) for face in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
-    }
+    expected = (0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)
+    assert {*map(frozenset, mesh.faces.tolist())} == {*map(frozenset, expected)}
 
 
 def test_weld_is_exact_keeps_the_order_and_drops_what_is_no_surface():
@@ -85,13 +82,10 @@ def test_arrays_are_checked_like_files():
 
 @pytest.mark.parametrize("scale", ["[1e400, 1, 1]", "[1e308, 1, 1]"])
 def test_numbers_beyond_double_precision_are_refused_without_a_warning(tmp_path, scale):
-    file = tmp_path / "big.gltf"
-    text = trimesh.Scene(box()).export(file_type="gltf")
-    for name, content in text.items():
+    for name, content in trimesh.Scene(box()).export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
-    document = (tmp_path / "model.gltf").read_text()
-    file.write_text(
-        document.replace('"nodes":[{', f'"nodes":[{{"scale":{scale},', 1).replace('"matrix"', '"none"')
-    )
+    file = tmp_path / "model.gltf"
+    scaled = file.read_text().replace('"nodes":[{', f'"nodes":[{{"scale":{scale},', 1)
+    file.write_text(scaled.replace('"matrix"', '"none"'))
     with pytest.raises(InputError, match="NaN or infinite coordinates|too large for areas"):
         load_mesh(file)

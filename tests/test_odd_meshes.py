@@ -2,8 +2,6 @@
 exit code 1; never a trace, never a part of a file.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -89,10 +87,6 @@ def test_a_place_that_cannot_be_written_is_refused(verb, tmp_path, capsys):
     (tmp_path / "ball.obj").write_bytes(odd_meshes.TAKEN["tetrahedron.obj"])
     assert cli.main(arguments(verb, tmp_path / "ball.obj", tmp_path / "file" / "below")) == 1
     printed, error = capsys.readouterr()
-    assert (
-        printed == ""
-        and "cannot write" in error
-        and "choose a folder" in error
-        and len(error.splitlines()) == 1
-    )
+    assert printed == "" and "cannot write" in error and "choose a folder" in error
+    assert len(error.splitlines()) == 1
     assert (tmp_path / "file").read_text() == "mine" and len(list(tmp_path.iterdir())) == 2

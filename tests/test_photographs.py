@@ -1,8 +1,6 @@
 """Photographs become a scene: by real structure from motion where pycolmap is, and clear words where they do
 not."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -48,6 +46,17 @@ def noise(folder, count):
     return folder
 
 
+def mug(index):
+    """Return one of the mug's photographs."""
+    with Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as picture:
+        return picture.convert("RGB")
+
+
+def photos(folder, *words):
+    """Make a scene in folder/scene of the photographs in folder/photos; return the exit code."""
+    return main(["photos", str(folder / "photos"), f"--out={folder / 'scene'}", *words])
+
+
 def model_of(cameras, points):
     return Model(
         cameras={
@@ -70,18 +79,32 @@ def centres_off(scene):
     return ratios.std() / ratios.mean()
 
 
-def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys):
-    pytest.importorskip("pycolmap")
+def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys, monkeypatch):
+    colmap, seen = pytest.importorskip("pycolmap"), {}
+
+    def watch(name):
+        real = getattr(colmap, name)
+
+        def call(*arguments, **words):
+            seen[name] = words
+            return real(*arguments, **words)
+
+        monkeypatch.setattr(colmap, name, call)
+
+    for name in ("match_exhaustive", "incremental_mapping"):
+        watch(name)
     (tmp_path / "photos").mkdir()
     for index in range(30, 38):  # of the upper ring
         shutil.copy(MUG / "photographs" / f"mug_{index:02d}.jpg", tmp_path / "photos")
-    Image.fromarray(stream(0, "noise").integers(0, 256, (450, 600, 3), np.uint8)).save(
-        tmp_path / "photos/z.png"
-    )
-    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200", "--quiet"]
-    assert main(words) == 0
+    pixels = stream(0, "noise").integers(0, 256, (450, 600, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "photos" / "z.png")
+    assert photos(tmp_path, "--size=200", "--quiet") == 0
     told = capsys.readouterr()
     assert "8 photographs registered" in told.out and "8 of 9 photographs registered, not z.jpg" in told.err
+    options = seen["incremental_mapping"]["options"]  # every random choice is seeded
+    assert seen["match_exhaustive"]["verification_options"].ransac.random_seed == 0
+    assert options.random_seed == options.mapper.random_seed == options.triangulation.random_seed == 0
+    assert options.num_threads == options.mapper.num_threads == 1
     scene = load_scene(tmp_path / "scene")
     assert len(scene.names) == 8 and max(scene.images.shape[2:]) == 200 and len(scene.points) > 500
     assert not list(tmp_path.glob(".paper_artifact-partial-*"))
@@ -89,46 +112,23 @@ def test_eight_photographs_of_the_mug_register_and_make_a_scene(tmp_path, capsys
     assert np.allclose(facts["background"], 0.72, atol=0.1)  # the grey room
     assert centres_off(scene) < 0.03  # the cameras stand as they truly stood
     assert b"Processing block" in (tmp_path / "scene" / "colmap.log").read_bytes() and "I2" not in told.err
-    assert "nothing ran" not in told.out and main(words) == 0
+    assert "nothing ran" not in told.out and photos(tmp_path, "--size=200", "--quiet") == 0
     assert capsys.readouterr().out.startswith("nothing ran: the scene of these photographs is there already")
-    assert main([*words, "--features", "500"]) == 1 and "holds a scene of other" in capsys.readouterr().err
-
-
-def test_every_random_choice_of_the_registration_is_seeded(tmp_path, monkeypatch):
-    colmap, seen = pytest.importorskip("pycolmap"), {}
-
-    def watched(name, real):
-        def call(*arguments, **words):
-            seen[name] = words
-            return real(*arguments, **words)
-
-        return call
-
-    for name in ("match_exhaustive", "incremental_mapping"):
-        monkeypatch.setattr(colmap, name, watched(name, getattr(colmap, name)))
-    (tmp_path / "photos").mkdir()
-    for index in (30, 31, 32, 33):
-        shutil.copy(MUG / "photographs" / f"mug_{index:02d}.jpg", tmp_path / "photos")
-    assert main(["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--quiet"]) == 0
-    options = seen["incremental_mapping"]["options"]
-    assert seen["match_exhaustive"]["verification_options"].ransac.random_seed == 0
-    assert options.random_seed == options.mapper.random_seed == options.triangulation.random_seed == 0
-    assert options.num_threads == options.mapper.num_threads == 1
+    assert photos(tmp_path, "--size=200", "--quiet", "--features=500") == 1
+    assert "holds a scene of other" in capsys.readouterr().err
 
 
 def test_upright_and_level_photographs_of_two_cameras_make_a_scene_of_one_size(tmp_path, capsys):
     pytest.importorskip("pycolmap")
     (tmp_path / "photos").mkdir()
     for index in range(30, 38):
-        name = f"mug_{index:02d}.jpg"
-        with Image.open(MUG / "photographs" / name) as picture:
-            if index in (31, 34, 36):  # on their side, as an upright phone's software leaves them
-                picture = picture.transpose(Image.Transpose.ROTATE_270)
-            if index in (32, 35):  # of another camera, wider and with fewer pixels
-                picture = picture.crop((0, 50, 600, 400)).resize((420, 245), Image.Resampling.LANCZOS)
-            picture.save(tmp_path / "photos" / name, quality=95)
-    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200", "--quiet"]
-    assert main([*words, "--features", "420"]) == 0
+        picture = mug(index)
+        if index in (31, 34, 36):  # on their side, as an upright phone's software leaves them
+            picture = picture.transpose(Image.Transpose.ROTATE_270)
+        if index in (32, 35):  # of another camera, wider and with fewer pixels
+            picture = picture.crop((0, 50, 600, 400)).resize((420, 245), Image.Resampling.LANCZOS)
+        picture.save(tmp_path / "photos" / f"mug_{index}.jpg", quality=95)
+    assert photos(tmp_path, "--size=200", "--quiet", "--features=420") == 0
     assert "8 photographs registered" in capsys.readouterr().out
     scene = load_scene(tmp_path / "scene")
     assert scene.images.shape[0] == 8 and scene.images.shape[3] > 1.6 * scene.images.shape[2] > 160
@@ -163,14 +163,13 @@ def test_cut_outs_in_sub_folders_keep_their_masks(tmp_path, capsys):
     for index in range(30, 38):
         folder = tmp_path / "photos" / ("upper" if index % 2 else ".") / f"ring_{index % 2}"
         folder.mkdir(parents=True, exist_ok=True)
-        with Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as picture:
-            alpha = Image.new("L", picture.size, 255)
-            alpha.paste(0, (0, 0, picture.width, picture.height // 5))
-            if index != 30:
-                picture.putalpha(alpha)
-            picture.save(folder / f"mug_{index}.png")
-    words = ["photos", str(tmp_path / "photos"), "--out", str(tmp_path / "scene"), "--size", "200"]
-    assert main(words) == 0
+        picture = mug(index)
+        alpha = Image.new("L", picture.size, 255)
+        alpha.paste(0, (0, 0, picture.width, picture.height // 5))
+        if index != 30:
+            picture.putalpha(alpha)
+        picture.save(folder / f"mug_{index}.png")
+    assert photos(tmp_path, "--size=200") == 0
     told = capsys.readouterr()
     assert "8 photographs registered" in told.out and told.err == "", "bars are silent without a terminal"
     scene = load_scene(tmp_path / "scene")
@@ -181,11 +180,11 @@ def test_cut_outs_in_sub_folders_keep_their_masks(tmp_path, capsys):
 
 
 def test_all_files_that_are_no_photographs_are_named_at_once(tmp_path, capsys):
-    folder = noise(tmp_path / "n", 3)
+    folder = noise(tmp_path / "photos", 3)
     (folder / "text.jpg").write_text("no picture")
     whole = (folder / "0.jpg").read_bytes()
     (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    assert main(["photos", str(folder), "--out", str(tmp_path / "s"), "--quiet"]) == 1
+    assert photos(tmp_path, "--quiet") == 1
     told = capsys.readouterr().err
     assert "2 of 5 files are no photographs" in told and "text.jpg is no image of the kinds PNG" in told
     assert "cut.jpg is damaged" in told and len(told.splitlines()) == 1
@@ -229,8 +228,8 @@ def test_sizes_that_have_little_in_common_are_told():
 
 def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path, capsys):
     pytest.importorskip("pycolmap")
-    words = ["photos", str(noise(tmp_path / "noise", 3)), "--out", str(tmp_path / "scene"), "--quiet"]
-    assert main(words) == 1
+    noise(tmp_path / "photos", 3)
+    assert photos(tmp_path, "--quiet") == 1
     told = capsys.readouterr().err
     assert "0 of 3 photographs register" in told and "overlapping" in told
     assert not (tmp_path / "scene").exists() and not list(tmp_path.glob(".paper_artifact-partial-*"))
@@ -238,16 +237,17 @@ def test_photographs_of_nothing_say_how_many_registered_and_what_to_try(tmp_path
 
 def test_without_pycolmap_it_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    assert main(["photos", str(noise(tmp_path / "n", 3)), "--out", str(tmp_path / "s")]) == 1
+    noise(tmp_path / "photos", 3)
+    assert photos(tmp_path) == 1
     assert "pip install '.[photos]'" in capsys.readouterr().err
 
 
 def test_folders_that_hold_too_little(tmp_path, capsys):
-    folder = noise(tmp_path / "n", 2)
+    folder = noise(tmp_path / "photos", 2)
     (folder / "c.HEIC").write_bytes(b"x")
 
     def refused(*words):
-        assert main(["photos", str(folder), "--out", str(tmp_path / "s"), *words]) == (2 if words else 1)
+        assert photos(tmp_path, *words) == (2 if words else 1)
         return capsys.readouterr().err
 
     assert unread(folder) == ["1 file (.heic) not read; convert to JPEG"]
@@ -262,7 +262,7 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
     assert "two photographs called one" in refused()
     (folder / "one.bmp").rename(folder / os.fsdecode(b"m\xe9g.bmp"))
     assert "még" in photographs_in(folder)
-    folder = tmp_path / "nowhere"
+    folder.rename(tmp_path / "elsewhere")
     assert "no folder at" in refused()
 
 
@@ -279,37 +279,25 @@ def test_the_scene_stands_upright_and_looks_the_same():
     turn = Rotation.from_euler("xyz", [100, 20, -50], degrees=True)
     points = stream(0, "points").normal(size=(30, 3))
     true = model_of(cameras, points)
-    bent = {
-        i: Pose(p.name, p.camera, tuple((c * turn.inv()).as_quat(scalar_first=True)), p.translation)
-        for (i, p), c in zip(
-            true.images.items(), (Rotation.from_matrix(c.rotation) for c in cameras), strict=True
-        )
-    }
-    # One picture lies on its side, its top to the left.
-    side = Rotation.from_euler("z", -90, degrees=True)
-    first = replace(
-        bent[0],
-        quaternion=tuple(
-            (side * Rotation.from_quat(bent[0].quaternion, scalar_first=True)).as_quat(scalar_first=True)
-        ),
-        translation=tuple(side.apply(bent[0].translation)),
-    )
-    lying = Model(
-        true.cameras, bent | {0: first}, true.point_ids, turn.apply(points), true.colours, true.errors
-    )
-    told = upright(lying, {"0.png": (-1.0, 0.0)})
-    turned = upright(Model(true.cameras, bent, true.point_ids, turn.apply(points), true.colours, true.errors))
+
+    def posed(index, rotation, **changes):
+        quaternion = tuple(rotation.as_quat(scalar_first=True))
+        return replace(true.images[index], quaternion=quaternion, **changes)
+
+    rotations = [Rotation.from_matrix(camera.rotation) * turn.inv() for camera in cameras]
+    poses = {index: posed(index, rotation) for index, rotation in enumerate(rotations)}
+    bent = replace(true, images=poses, positions=turn.apply(points))
+    side = Rotation.from_euler("z", -90, degrees=True)  # one picture lies on its side, its top to the left
+    first = posed(0, side * rotations[0], translation=tuple(side.apply(true.images[0].translation)))
+    lying = replace(bent, images=poses | {0: first})
+    told, turned = upright(lying, {"0.png": (-1.0, 0.0)}), upright(bent)
     assert np.allclose(told.positions, turned.positions)
     assert not np.allclose(upright(lying).positions, turned.positions, atol=0.1)
     up = sum(-turned.camera(index).rotation[1] for index in turned.images)
     assert np.allclose(up[:2], 0, atol=1e-9) and up[2] > 0
     for index in true.images:
-        ours, theirs = turned.camera(index), true.camera(index)
-        seen = [
-            c.rotation @ p.T + np.array(c.translation)[:, None]
-            for c, p in ((ours, turned.positions), (theirs, points))
-        ]
-        assert np.allclose(*seen)
+        cameras = [(each.camera(index), each.positions) for each in (turned, true)]
+        assert np.allclose(*(c.rotation @ p.T + np.array(c.translation)[:, None] for c, p in cameras))
 
 
 def test_pictures_of_several_sizes_are_cropped_and_the_empty_part_is_found(tmp_path):

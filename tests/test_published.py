@@ -1,7 +1,5 @@
 """The transcribed tables agree with each other and with the identities the paper states."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -51,9 +49,8 @@ def test_group_means_follow_from_table_2():
     for row in published("2", quantity="ratio_C0_over_C1").itertuples():
         members, mean, sd = tails.loc[list(shapes_of(row.shape))], row.value, row.sd
         ratios = members["C0"] / members["C1"]
-        assert np.mean(ratios) == pytest.approx(mean, abs=0.02) and np.std(ratios, ddof=1) == pytest.approx(
-            sd, abs=0.03
-        )
+        assert np.mean(ratios) == pytest.approx(mean, abs=0.02)
+        assert np.std(ratios, ddof=1) == pytest.approx(sd, abs=0.03)
 
 
 def test_printed_factors_follow_from_the_values():
@@ -68,9 +65,7 @@ def test_printed_factors_follow_from_the_values():
 def test_pins_are_half_lifetimes():
     frame = published("S11")
     for shape in ("eight", "armadillo", "horse"):
-        rows = frame[
-            (frame["shape"] == shape) & (frame["quantity"] == "lifetime") & (frame["samples"] == 20000)
-        ]
+        rows = frame.query("shape == @shape and quantity == 'lifetime' and samples == 20000")
         baseline = means().loc[(shape, "C0"), "value"]
         assert rows["value"].iloc[0] / 2 == pytest.approx(baseline, abs=ROUNDING)
 

@@ -1,7 +1,5 @@
 """The unit of the vertices' learning rate; the budget among photographs; what a run that goes wrong says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -111,11 +109,8 @@ def watch(tiny_scene):
 
 def soup_at(points: np.ndarray) -> Soup:
     corners = np.asarray(points, np.float32)[:, None] + np.float32(0.2) * np.eye(3, dtype=np.float32)
-    count = len(corners)
-    made = Soup(
-        torch.from_numpy(corners), torch.zeros(count, 3, FEATURES), torch.zeros(count, 3), initial_mlp(0)
-    )
-    return made.trainable()
+    zeros = torch.zeros(len(corners), 3, FEATURES), torch.zeros(len(corners), 3)
+    return Soup(torch.from_numpy(corners), *zeros, initial_mlp(0)).trainable()
 
 
 def test_a_loss_that_rises_is_said_once_and_one_that_falls_is_not(watch, monkeypatch):

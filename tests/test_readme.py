@@ -1,8 +1,6 @@
 """The documents say what is there: programs run, commands parse, paths exist, the README names every
 notebook."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

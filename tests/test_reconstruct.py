@@ -1,7 +1,5 @@
 """`reconstruct`: photographs or a video → scene, soup, pictures and mesh in one command, and again."""
 
-from __future__ import annotations
-
 import shlex
 from fractions import Fraction
 from pathlib import Path
@@ -13,7 +11,7 @@ from PIL import Image, ImageFilter
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
 from paper_artifact.photos.pictures import video_frames
-from tests.test_photographs import MUG
+from tests.test_photographs import MUG, mug
 
 av = pytest.importorskip("av", reason="PyAV has no wheel here")
 EVERY = 3
@@ -27,8 +25,7 @@ def video(tmp_path_factory) -> Path:
         stream = container.add_stream("libx264", rate=Fraction(25), options={"crf": "14"})
         stream.width, stream.height, stream.pix_fmt = 600, 450, "yuv420p"
         for index in range(30, 38):
-            with Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as read:
-                sharp = read.convert("RGB").resize((600, 450))
+            sharp = mug(index).resize((600, 450))
             blurred = sharp.filter(ImageFilter.GaussianBlur(4))
             for picture in (blurred, sharp, blurred):
                 container.mux(stream.encode(av.VideoFrame.from_image(picture)))
@@ -41,8 +38,8 @@ def test_of_every_few_frames_the_sharpest_is_taken(video, tmp_path):
     frames = sorted((tmp_path / "frames").iterdir())
     assert len(frames) == 8
     for file, index in zip(frames, range(30, 38), strict=True):
-        with Image.open(file) as taken, Image.open(MUG / "photographs" / f"mug_{index:02d}.jpg") as true:
-            off = np.asarray(taken, float) - np.asarray(true.convert("RGB").resize((600, 450)), float)
+        with Image.open(file) as taken:
+            off = np.asarray(taken, float) - np.asarray(mug(index).resize((600, 450)), float)
         assert np.sqrt((off**2).mean()) < 6, f"{file.name} is blurred"
     assert video_frames(video, None, tmp_path / "all", False) == 1
     with pytest.raises(InputError, match="24 frames; give a smaller --every"):
@@ -52,11 +49,14 @@ def test_of_every_few_frames_the_sharpest_is_taken(video, tmp_path):
 def test_what_is_no_video_is_refused(video, tmp_path, capsys):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:2000])
-    for name in ("text", "cut"):
-        words = ["photos", str(tmp_path / f"{name}.mp4"), "--out", str(tmp_path / "scene"), "--quiet"]
-        assert main(words) == 1
-        assert "convert it to MP4" in capsys.readouterr().err
+
+    def refused(place, *words):
+        assert main(["photos", str(place), f"--out={tmp_path / 'scene'}", "--quiet", *words]) == 1
         assert not (tmp_path / "scene").exists()
+        return capsys.readouterr().err
+
+    for name in ("text.mp4", "cut.mp4"):
+        assert "convert it to MP4" in refused(tmp_path / name)
     for short in (tmp_path / "short.mp4", tmp_path / "short.mkv"):  # the second declares no frames
         with av.open(short, "w", options={"movflags": "faststart"}) as out, av.open(video) as whole:
             copied = out.add_stream_from_template(whole.streams.video[0])
@@ -66,10 +66,8 @@ def test_what_is_no_video_is_refused(video, tmp_path, capsys):
                     out.mux(packet)
         video_frames(short, EVERY, tmp_path / short.suffix, False)
         short.write_bytes(short.read_bytes()[: short.stat().st_size * 2 // 3])
-        assert main(["photos", str(short), "--out", str(tmp_path / "scene"), "--quiet"]) == 1
-        assert "is cut off: it says 24 frames" in capsys.readouterr().err
-    assert main(["photos", str(MUG / "photographs"), "--out", str(tmp_path / "scene"), "--every", "2"]) == 1
-    assert "--every belongs to a video" in capsys.readouterr().err
+        assert "is cut off: it says 24 frames" in refused(short)
+    assert "--every belongs to a video" in refused(MUG / "photographs", "--every=2")
 
 
 def test_results_do_not_lie_among_the_photographs(tmp_path, capsys):
@@ -94,11 +92,8 @@ def test_one_command_from_a_video_to_a_mesh(video, tmp_path, capsys):
     ]
     code = main([*words, f"--out={tmp_path / 'mesh.ply'}", "--betti=1,2,1"])
     lines = capsys.readouterr().out.splitlines()
-    assert (
-        ", as before: " in lines[0]
-        and "as recorded" in lines[1]
-        and code == (0 if (tmp_path / "mesh.ply").exists() else 1)
-    )
+    assert ", as before: " in lines[0] and "as recorded" in lines[1]
+    assert code == (0 if (tmp_path / "mesh.ply").exists() else 1)
 
 
 @pytest.mark.parametrize(

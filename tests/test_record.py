@@ -1,7 +1,5 @@
 """Run records: round trip, naming, and every way a file on disk can be wrong."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -19,6 +17,7 @@ from paper_artifact.record.store import (
     pack,
     read_record,
     record_path,
+    recorded_path,
     unpack,
     write_record,
 )
@@ -27,28 +26,22 @@ CONFIG = study_config("torus", "C1", 3)
 
 
 def example(config=CONFIG, **more) -> dict:
-    dumps = [
-        {"step": step, "bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]} for step in (2300, 2400, 2500)
-    ]
+    found = {"bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]}
+    dumps = [{"step": step} | found for step in (2300, 2400, 2500)]
     losses = {"step": np.arange(2500), "total": np.linspace(1, 0.1, 2500, dtype=np.float32)}
-    return make_record(
-        config,
-        dumps,
-        {"bottleneck": np.array([0.001, 0.02, 0.003])},
-        {"train": 12.34567},
-        losses=losses,
-        **more,
-    )
+    tails = {"bottleneck": np.array(found["bottleneck"])}
+    return make_record(config, dumps, tails, {"train": 12.34567}, losses=losses, **more)
 
 
 def test_round_trip(tmp_path):
-    record = example(topology={"lambda": np.float32(0.5), "live": np.array([0.1, np.nan])})
+    record = example(topology={"lambda": np.float32(0.5), "third": 1 / 3, "live": np.array([0.1, np.nan])})
     path = write_record(record, tmp_path)
     assert path.name == f"torus-C1-s3-{config_hash(CONFIG)}.json"
     again = read_record(path)
     assert again == record
     assert again["config"]["loss"]["ramp"] == [0.2, 0.5]
-    assert config_of(again) == CONFIG and again["topology"] == {"lambda": 0.5, "live": [0.1, None]}
+    assert config_of(again) == CONFIG
+    assert again["topology"] == {"lambda": 0.5, "third": 0.3333333, "live": [0.1, None]}
     assert again["losses"]["step"][-1] == 2499 and len(again["losses"]["step"]) == 250
     assert again["packages"]["numpy"] == np.__version__ and again["host"]["cores"] >= 1
     assert path.stat().st_size < 20_000
@@ -59,38 +52,15 @@ def test_names_tell_runs_apart():
     assert record_path(replace(CONFIG, shape="meshes/my shape.obj")).name.startswith("my_shape.obj-C1-s3-")
 
 
-def refresh(step: int) -> dict:
-    live = [0.013 + step / 1e6, 0.155 - step / 1e6]
-    targets = [
-        {"kind": kind, "live": live, "target": [0.0130424, 0.1559181]}
-        for kind in ("matched", "recruited", "recruited")
-    ]
-    return {
-        "event": "refresh",
-        "step": step,
-        "floor": 0.0606,
-        "live_floor": 0.06 + step / 1e5,
-        "dimensions": {"1": {"matched": 1, "recruited": 2, "targets": targets[: 3 if step % 30 else 2]}},
-    }
-
-
-def test_a_full_topology_log_stays_small_and_comes_back(tmp_path):
-    log = [refresh(step) for step in range(501, 2501, 10)] + [
-        {"event": "lambda", "step": 501, "lambda_peak": 1 / 3}
-    ]
-    record = example(topology=log)
-    path = write_record(record, tmp_path)
-    assert read_record(path) == record and record["topology"][-1]["lambda_peak"] == 0.3333333
-    assert record["topology"][0]["dimensions"]["1"]["targets"][1]["kind"] == "recruited"
-    assert path.stat().st_size < 40_000 < len(json.dumps(log))
+def test_a_topology_log_stays_small_and_comes_back():
+    """That of a committed run, packed, beside plain JSON."""
+    log = read_record(recorded_path(study_config("torus", "C1", 3)))["topology"]
+    packed = json.dumps(pack(log))
+    assert unpack(json.loads(packed)) == log and len(log) > 200 and 4 * len(packed) < len(json.dumps(log))
 
 
 json_values = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-3, 3)
-    | st.sampled_from([0.5, 1.0, -0.0])
-    | st.sampled_from("ab"),
+    st.none() | st.booleans() | st.integers(-3, 3) | st.sampled_from([0.5, 1.0, -0.0, "a", "b"]),
     lambda inner: (
         st.lists(inner, max_size=5)
         | st.dictionaries(st.sampled_from("xyz"), inner, max_size=3)

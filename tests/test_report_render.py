@@ -1,7 +1,5 @@
 """The flat renders: framing, shading on both sides, what hides what."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,18 +17,14 @@ def inked(image):
 
 def test_a_sphere_fills_the_image_whatever_its_place_and_size():
     sphere = make_shape("sphere")
-    images = [
-        render_flat(sphere.vertices * scale + shift, sphere.faces, 100)
-        for scale, shift in ((1, 0), (7, (40, -3, 9)))
-    ]
+    places = sphere.vertices, 7 * sphere.vertices + (40, -3, 9)
+    images = [render_flat(vertices, sphere.faces, 100) for vertices in places]
     for image in images:
         rows, columns = inked(image)
-        assert len(rows) == pytest.approx(100 / MARGIN, abs=2) and len(columns) == pytest.approx(
-            100 / MARGIN, abs=2
-        )
-        assert rows[0] + rows[-1] == pytest.approx(99, abs=1) and columns[0] + columns[-1] == pytest.approx(
-            99, abs=1
-        )
+        assert len(rows) == pytest.approx(100 / MARGIN, abs=2)
+        assert len(columns) == pytest.approx(100 / MARGIN, abs=2)
+        assert rows[0] + rows[-1] == pytest.approx(99, abs=1)
+        assert columns[0] + columns[-1] == pytest.approx(99, abs=1)
     assert abs(images[0] - images[1]).mean() < 1e-3
 
 
@@ -50,13 +44,9 @@ def test_the_inside_has_its_own_colour():
 
 def test_the_nearer_triangle_hides_the_farther_and_keeps_its_own_material():
     both = np.concatenate([SQUARE, SQUARE * 0.3 - [0, 0.5, 0]])
-    image = render_flat(
-        both,
-        np.concatenate([FACES, FACES + 4]),
-        64,
-        direction=(0, -1, 0),
-        material=np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2, axis=0),
-    )
+    material = np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2, axis=0)
+    faces = np.concatenate([FACES, FACES + 4])
+    image = render_flat(both, faces, 64, direction=(0, -1, 0), material=material)
     assert image[32, 32, 0] == 0 and image[32, 32, 1] > 0.3, "the small green square is in front"
     assert image[6, 6, 1] == 0 and image[6, 6, 0] > 0.3
 

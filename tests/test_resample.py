@@ -1,7 +1,5 @@
 """Prune and split: the budget against an independent visible-pixel count, the split's geometry, schedule."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -41,15 +39,9 @@ def views(count: int = 5) -> np.ndarray:
 
 def independent_counts(soup: Soup, world_to_clip: np.ndarray, height: int, width: int) -> np.ndarray:
     """Visible pixels per triangle, summed over the views, from the float64 twin."""
-    with torch.no_grad():
-        raster = twin.rasterize(
-            soup.vertices.double(),
-            torch.sigmoid(soup.opacity.double()),
-            torch.from_numpy(world_to_clip).double(),
-            height,
-            width,
-            None,
-        )
+    vertices, opacity = soup.vertices.detach().double(), torch.sigmoid(soup.opacity.detach().double())
+    matrices = torch.from_numpy(world_to_clip).double()
+    raster = twin.rasterize(vertices, opacity, matrices, height, width, None)
     return np.bincount(raster.triangle.numpy().ravel(), minlength=len(soup) + 1)[1:]
 
 
@@ -73,32 +65,23 @@ def edge_lengths(corners: np.ndarray, matrix: np.ndarray, aspect: float) -> np.n
     return np.where(inside & np.roll(inside, -1, axis=1), np.linalg.norm(difference, axis=-1), 0.0)
 
 
-def split(
-    corners: np.ndarray, wanted: np.ndarray, matrix: np.ndarray, aspect: float = 1.0, limit: float = 0.4
-):
-    corners = np.ascontiguousarray(corners)
-    return split_long_edges(
-        corners, np.arange(len(corners)), wanted, np.asarray(matrix, np.float64), aspect, limit
-    )
+def split(corners: np.ndarray, wanted, matrix: np.ndarray, aspect: float = 1.0, limit: float = 0.4):
+    corners, matrix = np.ascontiguousarray(corners), np.asarray(matrix, np.float64)
+    return split_long_edges(corners, np.arange(len(corners)), wanted, matrix, aspect, limit)
 
 
 def test_pruning_keeps_the_most_visible_in_their_order():
     soup, world_to_clip = case(), views()
     budget = 25
     kept, report = resampler(budget).resample(soup, world_to_clip, HEIGHT, HEIGHT, 99)  # of 100: no split
-    assert (report["before"], report["pruned"], report["after"]) == (60, budget, budget) and len(
-        kept
-    ) == budget
+    assert (report["before"], report["pruned"], report["after"]) == (60, budget, budget)
+    assert len(kept) == budget
 
     counts = independent_counts(soup, world_to_clip, HEIGHT // 2, HEIGHT // 2)
     order = sorted(range(len(soup)), key=lambda t: (counts[t], t))  # the least visible first, ties by index
     wanted = sorted(order[len(soup) - budget :])
     assert counts[wanted].min() >= max(counts[t] for t in range(len(soup)) if t not in wanted)
-    for before, after in (
-        (soup.vertices, kept.vertices),
-        (soup.features, kept.features),
-        (soup.opacity, kept.opacity),
-    ):
+    for before, after in zip(soup.tensors()[:3], kept.tensors()[:3], strict=True):
         assert torch.equal(after, before[wanted])
         assert after.is_leaf and after.requires_grad
     assert kept.mlp is soup.mlp
@@ -170,12 +153,8 @@ def test_the_split_point_is_the_midpoint_in_the_image_not_in_space():
 
 def test_an_edge_with_an_end_outside_the_clip_cube_is_left_alone():
     matrix = look_at((0.0, 0.0, -4.0))
-    outside = np.array(
-        [
-            [[-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
-            [[0.0, 0.0, -9.0], [0.2, 0.0, 9.0], [0.0, 0.2, -9.0]],
-        ]
-    )
+    beside, along = [[-9, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 0, -9], [0.2, 0, 9], [0, 0.2, -9]]
+    outside = np.array([beside, along], float)
     children, origins = split(outside, np.ones(2, bool), matrix)
     assert np.array_equal(children, outside) and origins.tolist() == [0, 1]
 
@@ -194,9 +173,8 @@ def test_children_inherit_features_and_opacity():
     assert report["after"] == len(after) > report["pruned"] == 60
     # Features name their triangle: their first entry, times what `case` divided by.
     origins = np.rint(after.features[:, 0, 0].detach().numpy() * 60 * 21 / 21).astype(int)
-    assert torch.equal(after.features, soup.features[origins]) and torch.equal(
-        after.opacity, soup.opacity[origins]
-    )
+    assert torch.equal(after.features, soup.features[origins])
+    assert torch.equal(after.opacity, soup.opacity[origins])
     # Split are exactly the triangles that show an edge above the limit, 2·.25 in NDC, in a drawn view that
     # sees them.
     drawn = world_to_clip[stream(7, "split-views", 10).permutation(5)[:3]]
@@ -205,27 +183,22 @@ def test_children_inherit_features_and_opacity():
     np.testing.assert_allclose(np.bincount(origins, areas(children)), areas(corners), rtol=1e-3, atol=1e-6)
     longest = np.stack([edge_lengths(corners, matrix, 2.0).max(1) for matrix in drawn])
     long = longest > 0.5
-    assert (
-        np.array_equal(np.bincount(origins) > 1, (long & seen).any(0))
-        and (long & ~seen).any()
-        and (~long & seen).any()
-    )
+    assert np.array_equal(np.bincount(origins) > 1, (long & seen).any(0)) and (long & ~seen).any()
+    assert (~long & seen).any()
     reach = np.where(seen, longest, 0.0).max(0)
     assert ((reach > 0.26) & (reach < 0.5)).any()  # so that half the limit would split more
     # The last view has the last word on those it sees.
-    assert (edge_lengths(children, drawn[-1], 2.0)[seen[-1][origins]] <= 0.5 * (1 + 1e-5)).all() and (
-        long & seen
-    )[-1].any()
+    assert (edge_lengths(children, drawn[-1], 2.0)[seen[-1][origins]] <= 0.5 * (1 + 1e-5)).all()
+    assert (long & seen)[-1].any()
 
 
 def test_no_split_views_beyond_those_there_are_and_the_same_seed_gives_the_same_bits():
     soup = case(5, size=1.0)
-    first, second = (
-        resampler(60, seed=1, split_views=50).resample(soup, views(), HEIGHT, HEIGHT, 10)[0] for _ in range(2)
+    first, second, other = (
+        resampler(60, seed=1, split_views=count).resample(soup, views(), HEIGHT, HEIGHT, 10)[0]
+        for count in (50, 50, 1)
     )
-    assert torch.equal(first.vertices, second.vertices)
-    other = resampler(60, seed=1, split_views=1).resample(soup, views(), HEIGHT, HEIGHT, 10)[0]
-    assert len(other) < len(first)
+    assert torch.equal(first.vertices, second.vertices) and len(other) < len(first)
 
 
 def test_importance_decides_the_order_of_pruning():

@@ -1,7 +1,5 @@
 """The frames say what the records say: every tail, count and bar, the study of each run, what is missing."""
 
-from __future__ import annotations
-
 import shutil
 from itertools import product
 from pathlib import Path
@@ -31,20 +29,9 @@ def write_baseline(folder: Path, shape: str, seed: int) -> None:
     ends = {"bottleneck": [0.01] * 3, "counts": [1, 0, 1], "chamfer": 0.005, "hausdorff95": 0.01}
     dump = ends | {"counts_at_target_floor": [1, 0, 1], "floor": 0.02, "triangles": 9, "chamfer_sum": 0.01}
     dumps = [dump | {"step": step, "bars": [[[0.0, 0.01]], [], []]} for step in config.dump_steps]
-    sections = {
-        "images": {"psnr": 30.0, "ssim": 0.95, "holdout_views": 6},
-        "soup": {"triangles": 9, "resamplings": []},
-        "mesh": {
-            "name": shape,
-            "sha256": "0" * 64,
-            "diagonal": 3.4,
-            "betti": None,
-            "dimension": 2,
-            "floor": 0.017,
-        },
-        "cpu_seconds": 60.0,
-        "resumed_at": None,
-    }
+    mesh = {"name": shape, "sha256": "0" * 64, "diagonal": 3.4, "betti": None, "dimension": 2, "floor": 0.017}
+    sections = {"mesh": mesh, "images": {"psnr": 30.0, "ssim": 0.95, "holdout_views": 6}}
+    sections |= {"soup": {"triangles": 9, "resamplings": []}, "cpu_seconds": 60.0, "resumed_at": None}
     losses = {"step": list(range(1, 2501)), "loss": [1 / step for step in range(1, 2501)]}
     tails = ends | {"steps": [2300, 2400, 2500]}
     times = {"photometric": 30.0, "optimiser": 5.0, "evaluate": 9.0}
@@ -65,9 +52,8 @@ def test_a_run_s_rows_are_its_record_s(tables, shape, condition):
     assert row["psnr"] == record["images"]["psnr"]
     dumps = tables.dumps[(tables.dumps["run"] == row["run"]) & (tables.dumps["step"] > 0)]
     assert dumps["step"].tolist() == [dump["step"] for dump in record["dumps"]]
-    np.testing.assert_array_equal(
-        dumps["bars_h2"].iloc[-1], np.reshape(record["dumps"][-1]["bars"][2], (-1, 2))
-    )
+    bars = np.reshape(record["dumps"][-1]["bars"][2], (-1, 2))
+    np.testing.assert_array_equal(dumps["bars_h2"].iloc[-1], bars)
     logged = [entry for entry in record.get("topology") or () if entry["event"] == "refresh"]
     own = tables.refreshes[tables.refreshes["run"] == row["run"]]
     assert own["step"].nunique() == len(logged)
@@ -75,11 +61,8 @@ def test_a_run_s_rows_are_its_record_s(tables, shape, condition):
         for d, plan in entry["dimensions"].items():
             (found,) = own[(own["step"] == entry["step"]) & (own["dimension"] == int(d))].to_dict("records")
             assert (found["matched"], found["recruited"]) == (plan["matched"], plan["recruited"])
-            off = [
-                abs(np.subtract(bar["live"], bar["target"])).max()
-                for bar in plan["targets"]
-                if bar.get("live")
-            ]
+            pairs = [(bar["live"], bar["target"]) for bar in plan["targets"] if bar.get("live")]
+            off = [abs(np.subtract(*pair)).max() for pair in pairs]
             assert found["residual"] == pytest.approx(max(off)) if off else np.isnan(found["residual"])
 
 
@@ -135,7 +118,6 @@ def test_what_is_missing_is_said_once_and_the_study_s_frames_are_kept(tmp_path, 
     first = results.load(studies=["baseline"], folder=folder)
     said = capsys.readouterr().out
     assert said.startswith("baseline: 3 of 9 runs are not recorded: spot C0 seeds [0, 1, 2]; python -m")
-    assert len(list((tmp_path / ".frames").iterdir())) == 1
     (kept,) = (tmp_path / ".frames").iterdir()
     again = results.load(studies=["baseline"], folder=folder)
     pd.testing.assert_frame_equal(first.runs, again.runs)
@@ -185,9 +167,8 @@ def test_records_without_truth_dumps_or_held_out_views_are_read_beside_the_study
     alone = {"step": 1, "counts": [1, 2, 0], "floor": 0.02, "bars": [[], [], []], "margins": [[], [], []]}
     for seed, dumps in ((1, []), (2, [alone])):  # with no dumps, and of photographs
         config = study_config("own", "C0", seed, steps=1, dump_steps=(1,) * len(dumps))
-        write_record(
-            make_record(config, dumps, tails(dumps, len(dumps)) if dumps else {}, {}, **common), tmp_path
-        )
+        ends = tails(dumps, len(dumps)) if dumps else {}
+        write_record(make_record(config, dumps, ends, {}, **common), tmp_path)
     found = results.load(folder=tmp_path)
     own = found.runs[found.runs["shape"] == "own"].set_index("seed")
     lost = ["dimension", "tail", "tail_h2", "chamfer", "expected", "psnr", "diagonal", "betti_h0"]

@@ -1,8 +1,6 @@
 """The audit's pre-registered rule and the study's protocol (the catalogue's rows) held together, on the
 stored staircases: they agree but for two shapes, which are named here with the reason."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -38,15 +36,13 @@ def staircases() -> pd.DataFrame:
 def rungs(shape: str, seed: int) -> list[Rung]:
     every = staircases()
     own = every[(every["shape"] == shape) & (every["seed"] == seed) & every["samples"].isin(WORKING)]
+
+    def margins(row: dict, dimension: int) -> tuple:
+        return tuple(row[f"h{dimension}_{rank}"] / row["floor"] for rank in range(1, KEPT + 1))
+
     return [
         Rung(
-            int(row["samples"]),
-            seed,
-            row["floor"],
-            tuple(
-                tuple(row[f"h{dimension}_{rank}"] / row["floor"] for rank in range(1, KEPT + 1))
-                for dimension in range(3)
-            ),
+            int(row["samples"]), seed, row["floor"], tuple(margins(row, dimension) for dimension in range(3))
         )
         for row in own.to_dict("records")
     ]

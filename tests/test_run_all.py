@@ -2,8 +2,6 @@
 itself.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -25,18 +23,19 @@ PARAMETERS = 'profile = "recorded"'
 def write_notebook(path: Path, *sources: str) -> Path:
     parameters = v4.new_code_cell(PARAMETERS, metadata={"tags": ["parameters"]})
     path.parent.mkdir(parents=True, exist_ok=True)
-    nbformat.write(
-        v4.new_notebook(cells=[v4.new_markdown_cell("# Title"), parameters, *map(v4.new_code_cell, sources)]),
-        path,
-    )
+    cells = [v4.new_markdown_cell("# Title"), parameters, *map(v4.new_code_cell, sources)]
+    nbformat.write(v4.new_notebook(cells=cells), path)
     return path
 
 
 def printed(path: Path) -> str:
-    cells = nbformat.read(path, as_version=4).cells
-    return "".join(
-        output.get("text", "") for cell in cells if cell.cell_type == "code" for output in cell.outputs
-    )
+    cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    return "".join(output.get("text", "") for cell in cells for output in cell.outputs)
+
+
+def executed(path: Path, **options) -> Execution:
+    with own_kernel():
+        return execute(path, "recorded", executed=path.parent / "out", quiet=True, **options)
 
 
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):
@@ -46,9 +45,7 @@ def test_order_profile_failure_and_exit_code(tmp_path, capsys):
     )
     write_notebook(folder / "01_first.ipynb", "print(profile)")
     write_notebook(folder / "03_last.ipynb", "import os, sys; print(sys.executable, os.getcwd(), sep='\\n')")
-    assert (
-        main(["run-all", "--notebooks", str(folder), "--out", str(out), "--profile", "full", "--quiet"]) == 1
-    )
+    assert main(["run-all", f"--notebooks={folder}", f"--out={out}", "--profile=full", "--quiet"]) == 1
     printed_here = capsys.readouterr()
     rows = printed_here.out.splitlines()
     assert [row.split()[0] for row in rows[:4]] == ["notebook", "01_first", "02_broken", "03_last"]
@@ -65,15 +62,7 @@ def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
     path = write_notebook(
         tmp_path / "notebooks" / "01_a.ipynb", "value = 2 if profile == 'recorded' else 3", "value * 21"
     )
-    command = [
-        "run-all",
-        "--notebooks",
-        str(path.parent),
-        "--out",
-        str(tmp_path / "out"),
-        "--refresh",
-        "--quiet",
-    ]
+    command = ["run-all", f"--notebooks={path.parent}", f"--out={tmp_path / 'out'}", "--refresh", "--quiet"]
     assert main(command) == 0
     first = path.read_bytes()
     assert main(command) == 0
@@ -90,8 +79,7 @@ def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
 def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
     path = write_notebook(tmp_path / "01_bad.ipynb", "1 / 0")
     before = path.read_bytes()
-    with own_kernel():
-        outcome = execute(path, "recorded", executed=tmp_path / "out", refresh=True, quiet=True)
+    outcome = executed(path, refresh=True)
     assert path.read_bytes() == before
     assert outcome.error.startswith("cell 3: ZeroDivisionError")
 
@@ -101,16 +89,14 @@ def test_refresh_leaves_what_was_edited_meanwhile(tmp_path):
     path = tmp_path / "01_edited.ipynb"
     write_notebook(path, f"with open({str(path)!r}, 'a') as file:\n    file.write(' ')")
     before = path.read_bytes()
-    with own_kernel():
-        outcome = execute(path, "recorded", executed=tmp_path / "out", refresh=True, quiet=True)
+    outcome = executed(path, refresh=True)
     assert path.read_bytes() == before + b" " and "changed while it ran" in outcome.error
 
 
-def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
+def test_figures_that_are_shown_are_written_as_svg(tmp_path):
     path = write_notebook(
         tmp_path / "01_drawn.ipynb",
-        "from paper_artifact.plot import new_figure",
-        "from paper_artifact.plot import show",
+        "from paper_artifact.plot import new_figure, show",
         "figure, axes = new_figure(1, 1, 2, 2)",
         "axes[0][0].plot([1, 2], [3, 4])",
         "show('line', figure)",
@@ -118,12 +104,9 @@ def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
     folder = tmp_path / "figures"
     folder.mkdir()
     (folder / "02_other.svg").write_text("another notebook's")
-    with own_kernel():
-        outcome = execute(
-            path, "recorded", executed=tmp_path / "out", figures=folder, refresh=True, quiet=True
-        )
-        written = (folder / "01_drawn_line.svg").read_bytes()
-        execute(path, "recorded", executed=tmp_path / "out", figures=folder, quiet=True)
+    outcome = executed(path, figures=folder, refresh=True)
+    written = (folder / "01_drawn_line.svg").read_bytes()
+    executed(path, figures=folder)
     assert not outcome.error and b"<svg" in written
     assert sorted(each.name for each in folder.glob("*.svg")) == ["01_drawn_line.svg", "02_other.svg"]
     assert (folder / "01_drawn_line.svg").read_bytes() == written, "the same bytes in every run"
@@ -134,8 +117,7 @@ def test_figures_that_are_shown_are_written_as_svg(tmp_path, monkeypatch):
 
 def test_a_file_that_is_no_notebook_is_named(tmp_path):
     (tmp_path / "01_noise.ipynb").write_text("{ not json")
-    with own_kernel():
-        outcome = execute(tmp_path / "01_noise.ipynb", "recorded", executed=tmp_path / "out", quiet=True)
+    outcome = executed(tmp_path / "01_noise.ipynb")
     assert outcome.name == "01_noise" and outcome.error and "\n" not in outcome.error
 
 

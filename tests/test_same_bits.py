@@ -1,8 +1,6 @@
 """Short runs give the same bits with every library held back at once and with two threads; one library at a
 time, and numba: `python data_scripts/same_bits.py`."""
 
-from __future__ import annotations
-
 from data_scripts import same_bits
 
 

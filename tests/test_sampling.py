@@ -1,7 +1,5 @@
 """Surface samples: on the surface, uniform by area × weight, reproducible."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -18,9 +16,8 @@ def test_points_are_the_barycentric_combinations_of_their_faces():
     assert points.shape == (500, 3) and face.dtype == np.int64
     assert barycentrics.min() >= 0
     np.testing.assert_allclose(barycentrics.sum(axis=1), 1, atol=1e-12)
-    np.testing.assert_allclose(
-        (mesh.vertices[mesh.faces[face]] * barycentrics[:, :, None]).sum(axis=1), points, atol=1e-12
-    )
+    expected = np.einsum("nkd,nk->nd", mesh.vertices[mesh.faces[face]], barycentrics)
+    np.testing.assert_allclose(expected, points, atol=1e-12)
     np.testing.assert_allclose(np.abs(points).max(axis=1), 0.5, atol=1e-12)
     again, other = (sample_surface(mesh.vertices, mesh.faces, 500, stream(k, "test"))[0] for k in (1, 2))
     assert np.array_equal(again, points) and not np.array_equal(other, points)

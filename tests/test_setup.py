@@ -1,7 +1,5 @@
 """The set-up: one place with versions, locks that follow it, a bootstrap that is fast the second time."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -19,23 +17,8 @@ import paper_artifact
 from paper_artifact.files import REPOSITORY
 
 OPTIONAL = {"pycolmap", "dracopy"}  # no wheel for Linux on ARM; its tests are skipped where it is missing
-TOOLS = (
-    "bash",
-    "sed",
-    "awk",
-    "cat",
-    "cksum",
-    "dirname",
-    "rmdir",
-    "grep",
-    "tail",
-    "tr",
-    "mkdir",
-    "rm",
-    "mv",
-    "cp",
-    "env",
-)
+TOOLS = ["bash", "sed", "awk", "cat", "cksum", "dirname", "rmdir", "grep", "tail", "tr"]
+TOOLS += ["mkdir", "rm", "mv", "cp", "env"]
 LOCKS = sorted((REPOSITORY / "requirements").glob("*.lock"))
 # Stands for a Python: answers the version check, makes a "virtual environment" of itself, notes its calls.
 STUB = r"""#!/bin/bash
@@ -102,9 +85,8 @@ def test_the_locks_have_every_pin_and_a_hash_for_every_file():
             locked.setdefault(name, set()).add(version)
             hashes = entry.split(" \\\n    ")[1:]
             assert hashes and all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", each) for each in hashes), name
-    assert {name: {version} for name, version in pins().items()}.items() <= locked.items(), (
-        "python .ci/lock.py"
-    )
+    pinned = {name: {version} for name, version in pins().items()}
+    assert pinned.items() <= locked.items(), "python .ci/lock.py"
     waiting, needed = list(pins()), set()
     while waiting:
         name = waiting.pop()
@@ -137,13 +119,10 @@ class Setup:
         self.source.chmod(0o755)
 
     def add(self, name: str, text: str = STUB) -> None:
-        target = self.bin / name
-        target.write_text(text)
-        target.chmod(0o755)
+        (self.bin / name).write_text(text)
+        (self.bin / name).chmod(0o755)
 
-    def run(
-        self, *arguments: str, script: str = "test.sh", **variables: str
-    ) -> subprocess.CompletedProcess[str]:
+    def run(self, *arguments: str, script: str = "test.sh", **variables: str) -> subprocess.CompletedProcess:
         self.log.write_text("")
         places = {"PATH": self.bin, "HOME": self.root, "STUB_LOG": self.log, "STUB_SOURCE": self.source}
         return subprocess.run(
@@ -181,10 +160,8 @@ def test_first_run_installs_the_locks_and_the_second_does_not(setup):
     pin = setup.root / "environment.yml"
     pin.write_text(pin.read_text().replace("scipy==1.17.1", "scipy==1.17.2"))
     result = setup.run("-k", "x")
-    assert (
-        result.returncode == 1
-        and "requirements/ lacks what environment.yml names: scipy==1.17.2" in result.stderr
-    )
+    assert result.returncode == 1
+    assert "requirements/ lacks what environment.yml names: scipy==1.17.2" in result.stderr
     lock = setup.root / "requirements" / "packages.lock"
     lock.write_text(lock.read_text().replace("scipy==1.17.1", "scipy==1.17.2"))
     assert setup.run("-k", "x").returncode == 0
@@ -202,30 +179,26 @@ def test_runs_all_checks_and_passes_a_failure_on(setup):
     assert setup.run(script=".ci/run").returncode == 0
     checks = setup.calls()[-4:]
     assert checks[:2] == ["-m ruff check .", "-m mypy"]
-    assert checks[2].startswith("-m pytest tests ") and checks[3].startswith(
-        "-m pytest --nbval --nbval-current-env notebooks "
-    )
+    assert checks[2].startswith("-m pytest tests ")
+    assert checks[3].startswith("-m pytest --nbval --nbval-current-env notebooks ")
     for variable in ("STUB_LINT", "STUB_PYTEST"):
         assert setup.run(script=".ci/run", **{variable: "5"}).returncode == 5
         assert setup.calls()[-4:] == checks, "what follows a failing check is run all the same"
 
 
 @pytest.mark.parametrize(
-    "variables, words",
+    "variable, words",
     [
         (
-            {"STUB_NO_VENV": "1"},
-            ["cannot make a virtual environment", "apt install python3.11-venv", "conda env create"],
+            "STUB_NO_VENV",
+            ("cannot make a virtual environment", "apt install python3.11-venv", "conda env create"),
         ),
-        (
-            {"STUB_MISSING": ".lock"},
-            ["could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution"],
-        ),
+        ("STUB_MISSING", ("could not be installed", "PIP_INDEX_URL", "ERROR: No matching distribution")),
     ],
 )
-def test_hints_instead_of_traces(setup, variables, words):
+def test_hints_instead_of_traces(setup, variable, words):
     setup.add("python3.11")
-    result = setup.run(**variables)
+    result = setup.run(**{variable: ".lock"})
     assert result.returncode == 1
     assert all(word in result.stderr for word in words) and "Traceback" not in result.stderr + result.stdout
     assert not (setup.root / ".venv" / "paper_artifact.stamp").exists()
@@ -272,17 +245,15 @@ def test_uv_itself_is_taken_by_its_hash(setup):
     (asked,) = [call for call in setup.calls() if "--require-hashes" in call]
     assert asked.endswith("/.python/uv.lock")
     entry = (setup.root / ".python" / "uv.lock").read_text()
-    assert (
-        entry.startswith(f"uv=={pins()['uv']} \\\n") and entry.count("==") == 1 and "--hash=sha256:" in entry
-    )
+    assert entry.startswith(f"uv=={pins()['uv']} \\\n") and entry.count("==") == 1
+    assert "--hash=sha256:" in entry
 
 
 def test_scripts_are_sound_bash_also_in_a_checkout_on_windows(tmp_path):
     for name in ("test.sh", "reproduce.sh", ".ci/bootstrap.sh", ".ci/run"):
         assert subprocess.run(["bash", "-n", name], cwd=REPOSITORY).returncode == 0
-        asked = subprocess.run(
-            ["git", "check-attr", "eol", name], cwd=REPOSITORY, capture_output=True, text=True
-        )
+        ask = ["git", "check-attr", "eol", name]
+        asked = subprocess.run(ask, cwd=REPOSITORY, capture_output=True, text=True)
         assert asked.stdout.strip() in (f"{name}: eol: lf", ""), "Git for Windows would write CRLF"
     assert os.access(REPOSITORY / ".ci" / "run", os.X_OK)
 

@@ -1,7 +1,5 @@
 """The soup: initialisation on a point cloud, saving and loading."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -46,10 +44,9 @@ def test_initial_triangles_are_equilateral_on_distinct_points_with_a_quarter_of_
     between = cdist(points[chosen], points[chosen])
     np.fill_diagonal(between, np.inf)
     radius = 0.25 * between.min(1).mean()
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
     np.testing.assert_allclose(np.linalg.norm(corners - centres[:, None], axis=-1), radius, rtol=1e-5)
-    np.testing.assert_allclose(
-        np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1), np.sqrt(3) * radius, rtol=1e-5
-    )
+    np.testing.assert_allclose(sides, np.sqrt(3) * radius, rtol=1e-5)
 
     # The first two thirds are farthest points, from the first on.
     wanted = farthest_points(points, 60, chosen[0])
@@ -118,9 +115,8 @@ def test_save_and_load_give_the_same_bits(stored):
     soup, path = stored
     again = load_soup(path)
     assert len(again) == 40
-    assert all(
-        torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(soup.tensors(), again.tensors(), strict=True)
-    )
+    for before, after in zip(soup.tensors(), again.tensors(), strict=True):
+        assert torch.equal(before, after) and before.dtype == after.dtype
     assert [file.name for file in path.parent.iterdir()] == ["soup.npz"]
 
 
@@ -133,9 +129,8 @@ def test_select_carries_everything_along_and_copies(stored):
         chosen.vertices.zero_()
     assert soup.vertices.any(dim=-1).all()
     moved = soup.select(wanted, torch.ones(3, 3, 3))
-    assert torch.equal(moved.vertices, torch.ones(3, 3, 3)) and torch.equal(
-        moved.opacity, soup.opacity[wanted]
-    )
+    assert torch.equal(moved.vertices, torch.ones(3, 3, 3))
+    assert torch.equal(moved.opacity, soup.opacity[wanted])
 
 
 def rewritten(path, **changes) -> None:

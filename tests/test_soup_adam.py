@@ -1,7 +1,5 @@
 """The vertices' Adam against plain numpy, all else's against torch's; the MLP's moments handed on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -16,9 +14,8 @@ RATES = {"vertices": 2e-3, "features": 2e-2, "opacity": 1e-2, "mlp": 5e-3}
 
 def make_soup(triangles: int, dtype: torch.dtype = torch.float32) -> Soup:
     """Return a soup of random values, the same for every dtype."""
-    vertices, features, opacity, *mlp = (
-        torch.from_numpy(array.copy()).to(dtype) for array in soup_arrays(1, triangles).flat()
-    )
+    arrays = soup_arrays(1, triangles).flat()
+    vertices, features, opacity, *mlp = (torch.from_numpy(array.copy()).to(dtype) for array in arrays)
     return Soup(vertices, features, opacity, tuple(mlp)).trainable()
 
 
@@ -27,8 +24,9 @@ def give_gradients(soups: list[Soup], step: int) -> None:
     triangles."""
     for index, tensors in enumerate(zip(*(soup.tensors() for soup in soups), strict=True)):
         draws = stream(step, "gradients", index)
-        gradient = draws.normal(size=tensors[0].shape) * 10.0 ** draws.uniform(
-            -9, 1, tensors[0].shape[:1] + (1,) * (tensors[0].dim() - 1)
+        shape = tuple(tensors[0].shape)
+        gradient = draws.normal(size=shape) * 10.0 ** draws.uniform(
+            -9, 1, shape[:1] + (1,) * (len(shape) - 1)
         )
         if index < 3:
             gradient.reshape(-1, *gradient.shape[2:])[::5] = 0.0

@@ -1,7 +1,5 @@
 """What photographs are of: cameras around a made subject on a made table, and the verb that uses it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -93,13 +91,8 @@ def test_cameras_without_a_subject_are_refused():
 
 
 def joined(*soups: Soup) -> Soup:
-    first, *others = soups
-    return Soup(
-        torch.cat([first.vertices, *(each.vertices for each in others)]),
-        torch.cat([first.features, *(each.features for each in others)]),
-        torch.cat([first.opacity, *(each.opacity for each in others)]),
-        first.mlp,
-    )
+    parts = zip(*(soup.tensors()[:3] for soup in soups), strict=True)
+    return Soup(*(torch.cat(each) for each in parts), soups[0].mlp)
 
 
 def test_the_verb_takes_the_subject_out_of_a_scenes_soup(tiny_scene, tmp_path, capsys):
@@ -133,10 +126,8 @@ def test_a_solid_is_in_the_users_coordinates(tmp_path, kind, offset, exponent):
         assert cli.main([*words, "--betti=1,2,1", "--offsets=0.03"]) == 0
     here, there = (load_mesh(tmp_path / f"{name}.{kind}", welded=False) for name in ("here", "s"))
     np.testing.assert_array_equal(there.vertices, frame.outward(here.vertices))
-    assert (
-        np.array_equal(there.faces, here.faces)
-        and trimesh.Trimesh(there.vertices, there.faces, process=False).is_watertight
-    )
+    assert np.array_equal(there.faces, here.faces)
+    assert trimesh.Trimesh(there.vertices, there.faces, process=False).is_watertight
 
 
 def test_stated_numbers_are_the_subjects_and_not_the_tables(tmp_path, monkeypatch):
@@ -150,10 +141,8 @@ def test_stated_numbers_are_the_subjects_and_not_the_tables(tmp_path, monkeypatc
     flat = np.column_stack([stream(2, "test").uniform(-1.5, 1.5, (900, 2)), np.full(900, -1.1)])
     positions, count = np.concatenate([model.positions, flat]), len(model.positions) + 900
     colours, errors = np.zeros((count, 3), np.uint8), np.zeros(count)
-    write_model(
-        replace(model, point_ids=np.arange(count), positions=positions, colours=colours, errors=errors),
-        model_folder(folder),
-    )
+    cloud = {"positions": positions, "colours": colours, "errors": errors}
+    write_model(replace(model, point_ids=np.arange(count), **cloud), model_folder(folder))
     scene = load_scene(folder)
     holds = within(scene)
     assert holds(scene.points)[-900:].sum() == 0 and holds(scene.points)[:-900].mean() > 0.9

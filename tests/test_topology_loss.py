@@ -1,7 +1,5 @@
 """The plan and the loss on raw points: the paper's equation by hand, Lemma 1, the Gabriel gate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -66,9 +64,8 @@ def test_gradient_equals_finite_differences_of_the_whole_pipeline(void):
                 moved = live.copy()
                 moved[index, axis] += shift
                 values.append(TopologyLoss(bundle)(torch.tensor(moved)).item())
-            assert (values[0] - values[1]) / 2e-6 == pytest.approx(
-                points.grad[index, axis].item(), rel=1e-4, abs=1e-8
-            )
+            slope = points.grad[index, axis].item()
+            assert (values[0] - values[1]) / 2e-6 == pytest.approx(slope, rel=1e-4, abs=1e-8)
 
 
 def every_kind_of_pull() -> list[Pulls]:
@@ -113,20 +110,17 @@ def test_lemma_1():
     pulls = []
     for second in (0.8, 1.1):
         points = torch.tensor(far, requires_grad=True)
-        TopologyLoss(handmade_bundle([[0.0, 2.0], [0.0, second]], 0, 120, floor=0.7), recruitment=False)(
-            points
-        ).backward()
+        bundle = handmade_bundle([[0.0, 2.0], [0.0, second]], 0, 120, floor=0.7)
+        TopologyLoss(bundle, recruitment=False)(points).backward()
         pulls.append(points.grad)
     assert pulls[0].any() and torch.equal(pulls[0], pulls[1])
 
 
 def test_recruited_bars_leave_the_diagonal_term():
     generator = np.random.default_rng(1)
-    clumps = [generator.random((20, 3)) * 0.2 + [x, 0, 0] for x in (0.0, 1.0, 2.2)]
-    cloud = np.vstack(clumps)
-    bundle = handmade_bundle(
-        [[0.0, 3.0]], 0, 60, floor=0.3
-    )  # so persistent that leaving both at the diagonal is not cheaper
+    cloud = np.vstack([generator.random((20, 3)) * 0.2 + [x, 0, 0] for x in (0.0, 1.0, 2.2)])
+    # So persistent that leaving both at the diagonal is not cheaper.
+    bundle = handmade_bundle([[0.0, 3.0]], 0, 60, floor=0.3)
     with_term = build_plan(cloud, bundle, LossConfig(recruitment=True)).report["dimensions"]["0"]
     without = build_plan(cloud, bundle, LossConfig(recruitment=False)).report["dimensions"]["0"]
     assert without["significant"] == with_term["significant"] == 2
@@ -143,12 +137,8 @@ def test_frozen_plan_follows_live_points_until_the_next_refresh(void):
     for _ in range(7):
         loss(points)
         plans.append(loss.plan)
-    assert (
-        plans[0] is plans[2]
-        and plans[2] is not plans[3]
-        and plans[3] is plans[5]
-        and plans[6] is not plans[5]
-    )
+    assert plans[0] is plans[2] and plans[2] is not plans[3] and plans[3] is plans[5]
+    assert plans[6] is not plans[5]
     scaled = loss(points * 1.1).item()
     bar = 1.1 * np.array(plans[6].report["dimensions"]["2"]["targets"][0]["live"])
     assert scaled == pytest.approx(((bar - bundle.bars[2][0]) ** 2).sum(), rel=1e-9)
@@ -189,9 +179,11 @@ def non_gabriel(monkeypatch):
     edges = cloud[4:] - cloud[3]
     death = float(np.linalg.norm(np.linalg.lstsq(edges, (edges**2).sum(axis=1) / 2, rcond=None)[0]))
     pairs = Pairs(np.array([birth]), np.array([death]), np.array([[0, 1]]), np.array([[3, 4, 5]]))
-    monkeypatch.setattr(
-        "paper_artifact.topology.plan.alpha_persistence", lambda *_, as_given: (None, pairs, None)
-    )
+
+    def found(*_, as_given):
+        return None, pairs, None
+
+    monkeypatch.setattr("paper_artifact.topology.plan.alpha_persistence", found)
     return cloud, handmade_bundle([[1.0, 4.0]], 1, 6, floor=0.5), birth, death
 
 
@@ -218,27 +210,24 @@ def test_fallback_drop_takes_the_bar_out_before_the_matching(non_gabriel):
 def test_flat_cases_and_wrong_density_are_refused(void):
     bundle, live = void
     loss = TopologyLoss(bundle)
-    plane = live * [1, 1, 0]
     for bad, words in (
         (live[:3], "at least 4 points"),
         (live[:200], "built at M = 400"),
-        (plane, "in one plane"),
+        (live * [1, 1, 0], "in one plane"),
         (np.where(np.arange(400)[:, None] == 7, np.nan, live), "coordinates that are finite"),
+        (np.zeros((400, 3), int), "floating-point"),
     ):
         with pytest.raises(InputError, match=words):
             loss(torch.tensor(bad))
-    with pytest.raises(InputError, match="floating-point"):
-        loss(torch.zeros((400, 3), dtype=torch.int64))
     for setting in ("kind", "samples", "dimensions", "rho", "betti", "guard", "pull", "colour"):
         with pytest.raises(InputError, match=f"TopologyLoss does not follow the setting {setting}; choose"):
             TopologyLoss(bundle, **{setting: 1})
     for other in (None, {"a": 1}, bundle.to_json()):
         with pytest.raises(InputError, match="is no Bundle; make one by `build_bundle`"):
             TopologyLoss(other)
-    with pytest.raises(InputError, match="unknown fallback"):
-        TopologyLoss(bundle, fallback="ignore")
-    with pytest.raises(InputError, match="unknown floor_source"):
-        TopologyLoss(bundle, floor_source="none")
+    for setting in ("fallback", "floor_source"):
+        with pytest.raises(InputError, match=f"unknown {setting}"):
+            TopologyLoss(bundle, **{setting: "none"})
     with pytest.raises(InputError, match="no plan yet"):
         TopologyLoss(bundle, refresh_every=0)(torch.tensor(live))
 
@@ -251,9 +240,9 @@ def test_curvature_weights_grow_where_the_surface_bends():
     flat = int(np.argmin(np.linalg.norm(cube - [0, 0.5, 0.5], axis=1)))
     weights = pair_weights(cube, np.array([[edge, -1], [flat, -1]]))
     assert weights[0] > 2 and weights[1] == 0.25
-    assert pair_weights(cube, np.array([[edge, flat]])) == pytest.approx(
-        np.clip(surface_variation(cube)[[edge, flat]].mean() / surface_variation(cube).mean(), *CLIP)
-    )
+    variation = surface_variation(cube)
+    expected = np.clip(variation[[edge, flat]].mean() / variation.mean(), *CLIP)
+    assert pair_weights(cube, np.array([[edge, flat]])) == pytest.approx(expected)
     np.testing.assert_array_equal(pair_weights(cube * [1, 1, 0], np.array([[0, 1], [2, -1]])), [1, 1])
 
 

@@ -1,7 +1,5 @@
 """A run that is killed goes on from its checkpoint to the same record; damaged checkpoints are refused."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess
@@ -73,18 +71,12 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(
 ):
     folder = tmp_path / "results"
     shutil.copytree(tiny_results, folder)
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED, where, *arguments(condition, folder)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    command = [sys.executable, "-c", KILLED, where, *arguments(condition, folder)]
+    killed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=600)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not list((folder / "runs").iterdir())
-    (checkpoint,) = (folder / "checkpoints").glob(
-        "[!.]*.pt"
-    )  # a dot file is what the kill left of the one being written
+    # A dot file is what the kill left of the one being written.
+    (checkpoint,) = (folder / "checkpoints").glob("[!.]*.pt")
     assert cli.main(arguments(condition, folder)) == 0
     assert not checkpoint.exists()
 
@@ -94,38 +86,22 @@ def test_a_run_that_was_killed_goes_on_to_the_same_record(
     assert same_run(record, expected)
     assert record["tails"]["steps"] == [20, 30, 60] and len(record["losses"]["loss"]) == STEPS
     if condition == "C1":
-        assert [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"][:3] == [
-            14,
-            21,
-            31,
-        ]
+        refreshed = [entry["step"] for entry in record["topology"] if entry["event"] == "refresh"]
+        assert refreshed[:3] == [14, 21, 31]
     (first,), (second,) = ((where / "soups").iterdir() for where in (folder, whole_folder))
     assert first.name == second.name
     pairs = zip(load_soup(first).tensors(), load_soup(second).tensors(), strict=True)
     assert all(torch.equal(a, b) for a, b in pairs)
 
 
-def test_what_is_recorded_is_not_run_again(whole_runs, monkeypatch, capsys):
-    folder, record = whole_runs["C0"]
-    monkeypatch.setattr("paper_artifact.pipeline.train", None)  # calling it would fail
-    assert run(tiny_config(), results=folder) == record
-    assert cli.main([*tiny_arguments(), f"--results={folder}"]) == 0
-    printed = capsys.readouterr().out
-    assert "sphere C0 seed 0" in printed and "held-out PSNR" in printed and str(folder / "runs") in printed
-
-
 def test_two_equal_runs_at_once_train_once(tiny_results, tmp_path, monkeypatch):
     shutil.copytree(tiny_results, tmp_path / "r")
     trained, waits, records = [], threading.Event(), []
-    second = threading.Thread(
-        target=lambda: records.append(
-            run(
-                tiny_config(),
-                results=tmp_path / "r",
-                tell=lambda text: waits.set() if "waiting" in text else None,
-            )
-        )
-    )
+
+    def make(tell):
+        records.append(run(tiny_config(), results=tmp_path / "r", tell=tell))
+
+    second = threading.Thread(target=make, args=[lambda text: waits.set() if "waiting" in text else None])
 
     def slow(*arguments, **options):
         trained.append(0)
@@ -135,7 +111,7 @@ def test_two_equal_runs_at_once_train_once(tiny_results, tmp_path, monkeypatch):
         return train(*arguments, **options)
 
     monkeypatch.setattr("paper_artifact.pipeline.train", slow)
-    records.append(run(tiny_config(), results=tmp_path / "r"))
+    make(print)
     second.join()
     assert len(trained) == 1 and records[0] == records[1]
     assert not list((tmp_path / "r" / "checkpoints").iterdir())

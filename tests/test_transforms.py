@@ -1,7 +1,5 @@
 """NeRF-style cameras become the same cameras, and a cloud that hugs the object."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -58,9 +56,8 @@ def changed(folder, **values):
 
 
 def test_the_scene_has_the_cameras_the_images_and_a_cloud_on_the_object(folder, cameras, torus, tmp_path):
-    scene = load_scene(
-        transforms_scene(folder / "transforms.json", tmp_path / "s", TransformsConfig(points=3000))
-    )
+    config = TransformsConfig(points=3000)
+    scene = load_scene(transforms_scene(folder / "transforms.json", tmp_path / "s", config))
     expected = [world_to_clip(each, NEAR * scene.radius, FAR * scene.radius) for each in cameras]
     assert np.allclose(scene.world_to_clip, expected, atol=2e-4)
     for view, camera in enumerate(cameras):
@@ -86,14 +83,7 @@ def test_focal_lengths_centres_and_smaller_images(folder, cameras, tmp_path):
 
 
 def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
-    words = [
-        "scene",
-        "--transforms",
-        str(folder / "transforms.json"),
-        "--out",
-        str(tmp_path / "s"),
-        "--quiet",
-    ]
+    words = ["scene", f"--transforms={folder / 'transforms.json'}", f"--out={tmp_path / 's'}", "--quiet"]
     assert main([*words, "--views", "7", "--points", "60"]) == 0
     told = capsys.readouterr().out
     assert "7 views of at most 400 pixels (1 held out), 60 points" in told
@@ -107,6 +97,11 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
     assert main(["scene", "--shape", "torus", "--cloud", "hull", "--out", str(tmp_path / "t")]) == 2
 
 
+def frames(pose=None, file_path="train/r_0"):
+    matrix = np.eye(4) if pose is None else pose
+    return {"frames": [{"file_path": file_path, "transform_matrix": matrix.tolist()}] * 2}
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -118,34 +113,12 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
         ({"cy": True}, "cy of ./train/r_0 is True, which cannot be"),
         ({"frames": []}, "0 frames"),
         ({"frames": 3}, "damaged or no transforms.json"),
-        (
-            {"frames": [{"file_path": "gone", "transform_matrix": np.eye(4).tolist()}] * 2},
-            "gone is not there",
-        ),
-        ({"frames": [{"file_path": "9" * 5000, "transform_matrix": np.eye(4).tolist()}] * 2}, "cannot be"),
-        ({"frames": [{"file_path": "train/r_0", "transform_matrix": [[0] * 4] * 4}] * 2}, "is no pose"),
-        (
-            {"frames": [{"file_path": "train/r_0", "transform_matrix": np.diag([1, 1, -1, 1]).tolist()}] * 2},
-            "is no pose",  # but a mirror
-        ),
-        (
-            {
-                "frames": [
-                    {"file_path": "train/r_0", "transform_matrix": (np.eye(4) + np.eye(4, k=-3)).tolist()}
-                ]
-                * 2
-            },
-            "if it lists columns, transpose it",
-        ),
-        (
-            {
-                "frames": [
-                    {"file_path": "train/r_0", "transform_matrix": (np.eye(4) + np.eye(4, k=1)).tolist()}
-                ]
-                * 2
-            },
-            "is no pose",  # but sheared
-        ),
+        (frames(file_path="gone"), "gone is not there"),
+        (frames(file_path="9" * 5000), "cannot be"),
+        (frames(np.zeros((4, 4))), "is no pose"),
+        (frames(np.diag([1, 1, -1, 1])), "is no pose"),  # but a mirror
+        (frames(np.eye(4) + np.eye(4, k=-3)), "if it lists columns, transpose it"),
+        (frames(np.eye(4) + np.eye(4, k=1)), "is no pose"),  # but sheared
         ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
         ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
@@ -165,11 +138,11 @@ def test_bad_files(folder, tmp_path, values, message):
     assert not (tmp_path / "bad").exists()
 
 
-def framed(folder, change, **values):
+def framed(folder, change):
     content = json.loads((folder / "transforms.json").read_text())
     for index, frame in enumerate(content["frames"]):
         change(index, frame)
-    return changed(folder, frames=content["frames"], **values)
+    return changed(folder, frames=content["frames"])
 
 
 def test_a_frame_has_its_own_intrinsics(folder, cameras):
@@ -204,9 +177,8 @@ def test_distortion_is_taken_out(k1, cameras, tmp_path):
     lens, c = {"k1": k1, "k2": 0.05, "p1": 0.01, "p2": -0.005}, cameras[0]
     size = 300
     focal = c.focal_x * size / SIZE
-    bent = pycolmap.Camera(
-        model="OPENCV", width=size, height=size, params=[focal, focal, size / 2, size / 2, *lens.values()]
-    )
+    parameters = [focal, focal, size / 2, size / 2, *lens.values()]
+    bent = pycolmap.Camera(model="OPENCV", width=size, height=size, params=parameters)
     u, v = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
     rays = bent.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(size, size, 2)
 
@@ -216,16 +188,11 @@ def test_distortion_is_taken_out(k1, cameras, tmp_path):
 
     (tmp_path / "images").mkdir()
     Image.fromarray(pattern(rays[..., 0], rays[..., 1])).save(tmp_path / "images" / "a.png")
-    pose = {"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}
-    other = {
-        **pose,
-        "transform_matrix": np.linalg.inv(
-            np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
-        ).tolist(),
-    }
+    aside = np.linalg.inv([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 3], [0, 0, 0, 1]])
+    poses = [frames(pose, "images/a.png")["frames"][0] for pose in (np.eye(4), aside)]
     file = tmp_path / "transforms.json"
     content = {"fl_x": focal, "fl_y": focal, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
-    file.write_text(json.dumps({**content, **lens, "camera_model": "OPENCV", "frames": [pose, other]}))
+    file.write_text(json.dumps({**content, **lens, "camera_model": "OPENCV", "frames": poses}))
     config = TransformsConfig(cloud="random", points=20)
     scene = transforms_scene(file, tmp_path / "scene", config)
     camera = read_transforms(file)[0].camera
@@ -259,9 +226,8 @@ def test_names_as_others_write_them_masks_and_a_given_cloud(folder, tmp_path, ca
         frame["transform_matrix"] = frame["transform_matrix"][:3]
     file = tmp_path / "transforms.json"
     file.write_bytes(b"\xef\xbb\xbf" + json.dumps(content).encode())
-    assert [view.image.name for view in read_transforms(file)] == [
-        f"r_{index}.PNG" for index in range(VIEWS) if index % 6 != 5
-    ]
+    expected = [f"r_{index}.PNG" for index in range(VIEWS) if index % 6 != 5]
+    assert [view.image.name for view in read_transforms(file)] == expected
     assert "2 of 14 frames are left out" in capsys.readouterr().err
     scene = load_scene(transforms_scene(file, tmp_path / "scene", TransformsConfig(points=900)))
     assert np.linalg.norm(scene.points, axis=1).max() < 2, "the masks are the outlines"
@@ -274,28 +240,29 @@ def test_names_as_others_write_them_masks_and_a_given_cloud(folder, tmp_path, ca
 
 
 def test_images_of_several_sizes(folder, tmp_path):
-    frames = json.loads((folder / "transforms.json").read_text())["frames"]
     with Image.open(folder / "train" / "r_3.png") as image:
         image.crop((0, 0, 60, 40)).save(folder / "train" / "cut.png")
-    frames[3]["file_path"] = "train/cut"
+
+    def cut(index, frame):
+        frame["file_path"] = "train/cut" if index == 3 else frame["file_path"]
+
     with pytest.raises(InputError, match=r"changed.json lists .* sizes, 60×60 \(13\), 60×40 \(1\); scale"):
-        transforms_scene(changed(folder, frames=frames), tmp_path / "bad")
+        transforms_scene(framed(folder, cut), tmp_path / "bad")
 
 
 def test_outlines_that_contradict_one_another_and_opaque_images(folder, tmp_path):
-    content = json.loads((folder / "transforms.json").read_text())
-    for index, frame in enumerate(content["frames"]):
-        pose = np.array(frame["transform_matrix"])
-        pose[:3, 3] += (0, 0, 4.0 * index)  # wrong poses
-        frame["transform_matrix"] = pose.tolist()
-    with pytest.raises(InputError, match="leave no room"):
-        transforms_scene(changed(folder, frames=content["frames"]), tmp_path / "bad")
+    Image.new("RGBA", (60, 60)).save(folder / "train" / "clear.png")
+
+    def wrong_poses(index, frame):
+        frame["transform_matrix"][2][3] += 4.0 * index
+
+    def a_view_that_shows_nothing(index, frame):
+        frame["file_path"] = "train/clear" if index == 3 else frame["file_path"]
+
+    for change in (wrong_poses, a_view_that_shows_nothing):
+        with pytest.raises(InputError, match="leave no room"):
+            transforms_scene(framed(folder, change), tmp_path / "bad")
     (tmp_path / "train").mkdir()
-    clear = json.loads((folder / "transforms.json").read_text())
-    Image.new("RGBA", (60, 60)).save(folder / "train" / "clear.png")  # a view that shows nothing
-    clear["frames"][3]["file_path"] = "train/clear"
-    with pytest.raises(InputError, match="leave no room"):
-        transforms_scene(changed(folder, frames=clear["frames"]), tmp_path / "bad")
     for index in range(VIEWS):
         with Image.open(folder / "train" / f"r_{index}.png") as image:
             image.convert("RGB").save(tmp_path / "train" / f"r_{index}.png")

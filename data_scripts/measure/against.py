@@ -7,9 +7,6 @@ line per condition: this tree's median over the other's, of the whole process an
 (photometric, topology, optimiser). CPU seconds on one thread, wall seconds on more; the load is printed.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import os
 import statistics
@@ -17,6 +14,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+
+from common import options
 
 CHILD = """
 import json, resource, sys, tempfile
@@ -36,9 +35,8 @@ def seconds(tree: Path, condition: str, steps: int, threads: int) -> dict[str, f
     """Return the seconds of one run of a tree: "wall" and "cpu" of the process, "steps" of its steps."""
     begin = time.perf_counter()
     command = [sys.executable, "-c", CHILD, condition, str(steps), str(threads)]
-    done = subprocess.run(
-        command, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, capture_output=True, text=True
-    )
+    environment = os.environ | {"PYTHONPATH": str(tree)}
+    done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{tree}: {done.stderr.strip()}")
     found = json.loads(done.stdout.splitlines()[-1])
@@ -46,16 +44,11 @@ def seconds(tree: Path, condition: str, steps: int, threads: int) -> dict[str, f
     return {"wall": time.perf_counter() - begin, "cpu": found["cpu"], "steps": stages}
 
 
-def main() -> int:
+def main() -> None:
     """Run as the docstring says."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--against", type=Path, required=True, help="another checkout")
-    parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=1)
-    given = parser.parse_args()
+    numbers = {"steps": 300, "turns": 3, "threads": 1}
+    extra = {name: {"type": int, "default": value} for name, value in numbers.items()}
+    given = options(__doc__, against={"type": Path, "required": True, "help": "another checkout"}, **extra)
     trees = {"here": Path(__file__).resolve().parents[2], "there": given.against.resolve()}
     print(f"load before: {os.getloadavg()[0]:.1f}")
     for condition in ("C0", "C1"):
@@ -71,8 +64,7 @@ def main() -> int:
             parts.append(f"{kind} {here:.2f} s against {there:.2f} s, ratio {here / there:.2f}")
         print(f"{condition}, {given.threads} thread(s): {'; '.join(parts)}", flush=True)
     print(f"load after: {os.getloadavg()[0]:.1f}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -6,8 +6,6 @@ one thread, medians of turns in which the compared calls alternate, so that the 
 all alike.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import os
@@ -16,7 +14,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start their threads
 
@@ -31,7 +29,7 @@ class Clock:
 
     cpu = wall = 0.0
 
-    def __enter__(self) -> Clock:
+    def __enter__(self) -> Self:
         self._begin = time.process_time(), time.perf_counter()
         return self
 

@@ -5,8 +5,6 @@ Delaunay tetrahedra. gudhi's simplex tree is built within its filtration stage. 
 minutes of CPU on an idle machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -27,9 +25,8 @@ Draw = Callable[[int, np.random.Generator], np.ndarray]  # (M, generator) -> poi
 def torus(n: int, rng: np.random.Generator) -> np.ndarray:
     """Return n points on the torus of radii 1 and 0.4."""
     u, v = rng.random((2, n)) * 2 * np.pi
-    return np.column_stack(
-        [(1 + 0.4 * np.cos(v)) * np.cos(u), (1 + 0.4 * np.cos(v)) * np.sin(u), 0.4 * np.sin(v)]
-    )
+    radius = 1 + 0.4 * np.cos(v)
+    return np.column_stack([radius * np.cos(u), radius * np.sin(u), 0.4 * np.sin(v)])
 
 
 def soup(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -11,8 +11,6 @@ SEED are for the table alone; `solidify` was developed on --seed 1, 2 … The sc
 are stored.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -57,9 +55,7 @@ def ring(large: float, small: float, centre: tuple = (0, 0, 0), turn: tuple = (0
 
 
 def cylinder(radius: float, low: float, high: float) -> Field:
-    return lambda p: np.maximum(
-        np.hypot(p[:, 0], p[:, 1]) - radius, np.maximum(low - p[:, 2], p[:, 2] - high)
-    )
+    return lambda p: np.max([np.hypot(p[:, 0], p[:, 1]) - radius, low - p[:, 2], p[:, 2] - high], axis=0)
 
 
 def union(*fields: Field) -> Field:
@@ -208,11 +204,8 @@ def damaged(seed: int) -> Iterator[tuple[str, Mesh, Mesh]]:
     for damage, (done, names) in DAMAGES.items():
         for name in names:
             whole = meshed(fields[name][0], name, fields[name][1])
-            yield (
-                damage,
-                whole,
-                checked_mesh(*done(whole, stream(seed, f"{damage} {name}")), name, welded=False),
-            )
+            made = done(whole, stream(seed, f"{damage} {name}"))
+            yield damage, whole, checked_mesh(*made, name, welded=False)
 
 
 def by_solidify(mesh: Mesh, whole: Mesh) -> Mesh | str:
@@ -238,9 +231,8 @@ def judged(made: Mesh | Surface | str, whole: Mesh) -> dict:
         return {"right": False, "refusal": "an empty mesh"}
     mesh = made if isinstance(made, Mesh) else checked_mesh(*made, whole.name)
     found = certify_mesh(mesh)
-    volume, true = (
-        trimesh.Trimesh(each.vertices, each.faces, process=False).volume for each in (mesh, whole)
-    )
+    both = (trimesh.Trimesh(each.vertices, each.faces, process=False) for each in (mesh, whole))
+    volume, true = (each.volume for each in both)
     return {
         "right": found.passed and found.closed and found.betti == whole.betti,
         "passes": found.passed,

@@ -5,8 +5,6 @@ One row per subject, case and quantity (value). Notebook 15 reads it. Two minute
 soups.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

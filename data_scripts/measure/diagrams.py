@@ -6,8 +6,6 @@ condition, step (0: before training), floor, birth, death; radii over the boundi
 reads it. Two minutes of CPU.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from common import options, write
@@ -42,9 +40,8 @@ def run_bars(condition: str) -> pd.DataFrame:
             points = soup_samples(corners, opacity, len(target.samples), generator)
             bars = diagram_of(points, target.diagonal)[target.dimension]
             bars = bars[bars[:, 1] - bars[:, 0] > SHORTEST]
-            own = pd.DataFrame(
-                bars[np.lexsort((bars[:, 0], bars[:, 0] - bars[:, 1]))], columns=["birth", "death"]
-            )
+            order = np.lexsort((bars[:, 0], bars[:, 0] - bars[:, 1]))
+            own = pd.DataFrame(bars[order], columns=["birth", "death"])
             floor = measurement_floor(points, target.diagonal)
             tables.append(own.assign(condition=condition, step=step, floor=floor))
         return {"step": step}

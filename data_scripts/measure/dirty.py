@@ -5,8 +5,6 @@ bar beyond the classes that the clean surface shows; wanted: of the shortest of 
 there is none). Notebook 16 reads it. One minute of CPU.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -16,10 +16,7 @@ downloaded, or read from the folder in PAPER_ARTIFACT_MIRROR; they are CGAL's da
 (MIT) and the project's own mug. Two minutes of CPU, torch-topological the most of it.
 """
 
-from __future__ import annotations
-
 import os
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +27,7 @@ import numpy as np
 import pandas as pd
 import pooch
 import torch
-from common import options, write
+from common import Clock, options, write
 from peers import OURS, PEERS, Diagrams, reason, version_of, why_missing
 from peers_task import Task, stated_loss
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -182,19 +179,18 @@ def descend(example: Example, start: np.ndarray, loss: Loss | None, steps: int) 
         field = torch.tensor(weights / weights.sum(axis=1, keepdims=True))
     moves = torch.zeros_like(place, requires_grad=True)
     optimiser = torch.optim.Adam([moves], lr=RATE * spacing)
-    began = time.process_time()
-    for _ in range(steps):
-        optimiser.zero_grad()
-        points = place + field @ moves
-        total = example.keep * ((points - place) ** 2).sum() / spacing**2
-        if example.smooth:
-            total = total + example.smooth * off_plane(points).sum() / spacing**2
-        if loss is not None:
-            total = total + loss(points)
-        total.backward()
-        optimiser.step()
-    seconds = (time.process_time() - began) / max(1, steps)
-    return (place + field @ moves).detach().numpy(), seconds
+    with Clock() as clock:
+        for _ in range(steps):
+            optimiser.zero_grad()
+            points = place + field @ moves
+            total = example.keep * ((points - place) ** 2).sum() / spacing**2
+            if example.smooth:
+                total = total + example.smooth * off_plane(points).sum() / spacing**2
+            if loss is not None:
+                total = total + loss(points)
+            total.backward()
+            optimiser.step()
+    return (place + field @ moves).detach().numpy(), clock.cpu / max(1, steps)
 
 
 def counted(points: np.ndarray) -> dict[str, str]:
@@ -220,14 +216,9 @@ def moves(start: np.ndarray, points: np.ndarray) -> dict[str, float | int]:
 
 def peer_loss(diagrams: Diagrams, example: Example, spacing: float, points: Tensor) -> Tensor:
     """Return T2's loss (scalar) of points (n,3) in the example's dimensions, of a library's diagrams."""
-    found = diagrams(points / spacing)
-    each = [
-        stated_loss(
-            lambda _: found, Task(example.name, example.start, example.betti, dimension, RATE), points
-        )
-        for dimension in example.dimensions
-    ]
-    return torch.stack(each).sum()
+    found, what = diagrams(points / spacing), (example.name, example.start, example.betti)
+    tasks = [Task(*what, dimension, RATE) for dimension in example.dimensions]
+    return torch.stack([stated_loss(lambda _: found, task, points) for task in tasks]).sum()
 
 
 def peer_rows() -> Iterator[dict]:

@@ -2,8 +2,6 @@
 asked every 400 ms, beside the paper's. Needs an NVIDIA GPU; each run is a process by itself.
 """
 
-from __future__ import annotations
-
 import subprocess
 import threading
 from collections.abc import Callable

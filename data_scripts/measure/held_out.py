@@ -8,8 +8,6 @@ PSNR of the views held out, CPU seconds. M = 8192 and N = 1500 for every shape o
 recorded in --runs are read, not trained; about 100 s of CPU each. Notebook 16 reads the tables.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from functools import cache
@@ -55,43 +53,26 @@ def drilled(block: Field, places: list[tuple[float, float]], radius: float) -> F
     return block
 
 
+LINK, GRIP = ring(0.6, 0.13, (0, 0, 0), UPRIGHT), ring(0.65, 0.09, (0, 0, 0.45), UPRIGHT)
+BALLS = (
+    moved(ellipsoid(0.5, 0.4, 0.4), -0.9, 0, 0),
+    ellipsoid(0.3, 0.5, 0.3),
+    moved(ellipsoid(0.4, 0.4, 0.6), 0.9, 0, 0),
+)
 PILOTS: Shapes = {
-    "chain": (
-        union(
-            ring(0.6, 0.13, (-0.82, 0, 0)), ring(0.6, 0.13, (0, 0, 0), UPRIGHT), ring(0.6, 0.13, (0.82, 0, 0))
-        ),
-        (3, 6, 3),
-    ),
+    "chain": (union(ring(0.6, 0.13, (-0.82, 0, 0)), LINK, ring(0.6, 0.13, (0.82, 0, 0))), (3, 6, 3)),
     "slab": (drilled(box(1.6, 0.6, 0.25), [(-1, 0), (0, 0), (1, 0)], 0.38), (1, 6, 1)),
 }
 HELD_OUT: Shapes = {
     "two links": (union(ring(0.8, 0.2), ring(0.8, 0.2, (0.8, 0, 0), UPRIGHT)), (2, 4, 2)),
     "ball in a ring": (union(ring(1.0, 0.18), ellipsoid(0.4, 0.4, 0.4)), (2, 2, 2)),
-    "three balls": (
-        union(
-            moved(ellipsoid(0.5, 0.4, 0.4), -0.9, 0, 0),
-            ellipsoid(0.3, 0.5, 0.3),
-            moved(ellipsoid(0.4, 0.4, 0.6), 0.9, 0, 0),
-        ),
-        (3, 0, 3),
-    ),
+    "three balls": (union(*BALLS), (3, 0, 3)),
     "nested shells": (without(ellipsoid(1, 0.9, 0.8), ellipsoid(0.5, 0.5, 0.4)), (2, 0, 2)),
-    "grid": (
-        drilled(box(1.1, 1.1, 0.2), [(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)], 0.33),
-        (1, 8, 1),
-    ),
+    "grid": (drilled(box(1.1, 1.1, 0.2), list(product((-0.5, 0.5), repeat=2)), 0.33), (1, 8, 1)),
     "pipe": (without(cylinder(0.5, -1, 1), cylinder(0.42, -2, 2)), (1, 2, 1)),
-    "basket": (
-        without(
-            union(cylinder(0.7, -0.5, 0.5), ring(0.65, 0.09, (0, 0, 0.45), UPRIGHT)), cylinder(0.6, -0.4, 0.5)
-        ),
-        (1, 2, 1),
-    ),
+    "basket": (without(union(cylinder(0.7, -0.5, 0.5), GRIP), cylinder(0.6, -0.4, 0.5)), (1, 2, 1)),
     "plate": (ellipsoid(1, 0.8, 0.12), (1, 0, 1)),
-    "three rings": (
-        union(ring(0.5, 0.14, (-1, 0, 0)), ring(0.5, 0.14), ring(0.5, 0.14, (1, 0, 0))),
-        (1, 6, 1),
-    ),
+    "three rings": (union(*(ring(0.5, 0.14, (x, 0, 0)) for x in (-1, 0, 1))), (1, 6, 1)),
     "frame": (drilled(box(0.9, 0.9, 0.9), [(0, 0)], 0.6), (1, 2, 1)),
 }
 # Arm: condition, changes of its loss. The wrong numbers have one loop too many.
@@ -125,7 +106,8 @@ def mesh_file(shape: str, folder: Path) -> Path:
     """Return the PLY of one of our shapes, made where it does not exist."""
     path = folder / f"{shape.replace(' ', '_')}.ply"
     if not path.is_file():
-        mesh = meshed(*(PILOTS | HELD_OUT)[shape][:1], shape, (PILOTS | HELD_OUT)[shape][1])
+        field, betti = (PILOTS | HELD_OUT)[shape]
+        mesh = meshed(field, shape, betti)
         with atomic_path(path) as new:
             trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(new, file_type="ply")
     return path

@@ -5,8 +5,6 @@ COLMAP scene, then loaded and trained on as anyone's scene is. What they show do
 minutes and 5 GB of memory.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 

@@ -11,8 +11,6 @@ what was not measured. Notebook 07 reads it. Needs the peers, in a side environm
 table must not lose one unnoticed. Five minutes of CPU.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os

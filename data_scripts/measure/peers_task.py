@@ -11,8 +11,6 @@ step, ratio to BettiLoss; load, machine and versions as in peers.py. Notebook 17
 torch-topological and TopologyLayer in a side environment (docs/study.md). Ten minutes of CPU.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

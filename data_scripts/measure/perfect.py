@@ -22,9 +22,8 @@ def rows_of(shape: str, seeds: range = SEEDS) -> list[dict]:
     rows = []
     for seed in seeds:
         generator = stream(seed, "perfect surface")
-        found = evaluate_samples(
-            sample_surface(mesh.vertices, mesh.faces, len(target.samples), generator)[0], target
-        )
+        points = sample_surface(mesh.vertices, mesh.faces, len(target.samples), generator)[0]
+        found = evaluate_samples(points, target)
         row = {"shape": shape, "seed": seed}
         row |= {f"h{dimension}": value for dimension, value in enumerate(found["bottleneck"])}
         rows.append(row | {"count": found["counts"][target.dimension], "chamfer": found["chamfer"]})

@@ -8,8 +8,6 @@ oineus gives squared radii by inexact predicates; it is measured where it is ins
 eagerpy diode`). Run it on an idle machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -10,8 +10,6 @@ that gives the wanted topology and that solid's Chamfer. Notebook 18 reads it. A
 results/pictures/mug.png, of the first soup that has a solid. Needs pycolmap; ten minutes of CPU a thing.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -73,9 +71,8 @@ def measured(thing: str, seeds: list[int]) -> Iterator[dict[str, Any]]:
         target, to_truth = make_target(truth), similarity(*centres(place, thing))
         for seed, condition in product(seeds, ARMS):
             soup, record = trained(place, condition, seed, Path(folder) / "results", BETTI[thing])
-            of_it = soup.select(
-                torch.from_numpy(np.flatnonzero(subject.holds(soup.vertices.numpy().mean(1))))
-            )
+            held = np.flatnonzero(subject.holds(soup.vertices.numpy().mean(1)))
+            of_it = soup.select(torch.from_numpy(held))
             solid = solidify_soup(of_it, BETTI[thing], OFFSETS[thing])
             row = {"thing": thing, "condition": condition, "seed": seed}
             row |= against_the_truth(soup, truth, target, to_truth)
@@ -103,9 +100,8 @@ def against_the_truth(soup: Soup, truth: Mesh, target: Target, to_truth: Similar
     low, high = truth.vertices.min(0) - MARGIN, truth.vertices.max(0) + MARGIN
     low[2] = MARGIN
     kept = ((corners.mean(1) > low) & (corners.mean(1) < high)).all(1)
-    samples = soup_samples(
-        corners[kept], soup.corner_opacity()[kept], len(target.samples), stream(0, "mug samples")
-    )
+    opacity, generator = soup.corner_opacity()[kept], stream(0, "mug samples")
+    samples = soup_samples(corners[kept], opacity, len(target.samples), generator)
     found = evaluate_samples(samples, target)
     return {
         "on_it": int(kept.sum()),

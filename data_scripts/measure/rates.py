@@ -6,8 +6,6 @@ that is in the CSV already is not measured again: a killed sweep goes on. The de
 pictures, minutes of CPU a row; --steps 600 --downscale 2 takes half a minute. Needs pycolmap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -66,24 +64,20 @@ def scene_and_config(name: str, scenes: Path, steps: int, downscale: float) -> t
     return load_scene(folder, downscale=downscale), RunConfig(name, steps=steps, budget=BUDGET, dump_steps=())
 
 
+def key_of(name: str, factor: float, scene: Scene, config: RunConfig) -> dict[str, object]:
+    """Return what tells a row from the others."""
+    height, width = scene.images.shape[2:]
+    key = {"scene": name, "factor": factor, "seed": config.seed, "steps": config.steps}
+    return key | {"width": width, "height": height}
+
+
 def row_of(name: str, factor: float, scene: Scene, config: RunConfig) -> dict[str, object]:
     """Return one row: train at `factor` times the default rate, score the views held out."""
     with Clock() as clock:
         state = train(scene, replace(config, vertex_lr=factor * config.vertex_lr), device="cpu")
     scores = view_scores(state.soup, scene, scene.holdout)
-    height, width = scene.images.shape[2:]
-    return {
-        "scene": name,
-        "factor": factor,
-        "seed": config.seed,
-        "steps": config.steps,
-        "width": width,
-        "height": height,
-        "triangles": len(state.soup),
-        "psnr": scores["psnr"],
-        "ssim": scores["ssim"],
-        "cpu": clock.cpu,
-    }
+    found = {"triangles": len(state.soup), "psnr": scores["psnr"], "ssim": scores["ssim"]}
+    return key_of(name, factor, scene, config) | found | {"cpu": clock.cpu}
 
 
 def main() -> None:
@@ -101,11 +95,9 @@ def main() -> None:
     rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
     for name in given.scenes:
         scene, config = scene_and_config(name, given.folder, given.steps, given.downscale)
-        height, width = scene.images.shape[2:]
         for seed, factor in product(given.seeds, given.factors):
             seeded = replace(config, seed=seed)
-            key = {"scene": name, "factor": factor, "seed": seed, "steps": config.steps}
-            key |= {"width": width, "height": height}
+            key = key_of(name, factor, scene, seeded)
             if not any(key.items() <= row.items() for row in rows):
                 rows.append(row_of(name, factor, scene, seeded))
                 write(pd.DataFrame(rows).sort_values([*key]), path)

@@ -10,8 +10,6 @@ default results/retrained/soups; runs that it lacks are left out. The script goe
 stored.
 """
 
-from __future__ import annotations
-
 import importlib
 from importlib.metadata import version
 from pathlib import Path

@@ -9,8 +9,6 @@ named like records; runs that it lacks are left out. Without it, missing soups a
 results/retrained (half a minute each; 75 runs). A soup takes 5 to 40 seconds of CPU.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path

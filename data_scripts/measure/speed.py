@@ -7,8 +7,6 @@ runs. Notebook 07 reads it. Four minutes on an idle core; a busy machine gives o
 it prints whole runs of C0 on one thread and on two instead.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

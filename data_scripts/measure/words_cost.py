@@ -4,8 +4,6 @@ One row per shape, M and design: milliseconds of a refresh (samples, diagram, pl
 (value and gradient to the vertices), medians, and the bars that are pulled. Notebook 16 reads it. One minute.
 """
 
-from __future__ import annotations
-
 import pandas as pd
 import torch
 from common import Clock, options, write

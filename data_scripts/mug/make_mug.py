@@ -9,8 +9,6 @@ set of a signed-distance-like function (rounded cylinder, rings, cavity cut out,
 triangles by marching cubes of scikit-image.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

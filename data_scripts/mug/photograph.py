@@ -88,9 +88,8 @@ def table_picture(draws: np.random.Generator, size: int = 1024) -> np.ndarray:
     for _ in range(900):
         row, column = draws.integers(0, size, 2)
         high, wide = draws.integers(3, 9), draws.integers(4, 26)
-        picture[row : row + high, column : column + wide] = draws.choice([0.08, 0.85]) * draws.uniform(
-            0.7, 1, 3
-        )
+        ink = draws.choice([0.08, 0.85]) * draws.uniform(0.7, 1, 3)
+        picture[row : row + high, column : column + wide] = ink
     return np.clip(picture, 0.02, 1)
 
 
@@ -107,10 +106,8 @@ def camera_centres(views: int, target: tuple, draws: np.random.Generator) -> np.
         turn = 2 * np.pi * (np.arange(count) + draws.uniform(-0.15, 0.15, count) + draws.uniform()) / count
         rise = np.radians(elevation + draws.uniform(-4, 4, count))
         reach = draws.uniform(26, 29, count)
-        centres.append(
-            np.stack([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], 1)
-            * reach[:, None]
-        )
+        away = np.stack([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], 1)
+        centres.append(away * reach[:, None])
     return np.concatenate(centres) + target
 
 
@@ -127,44 +124,24 @@ def scene_of(name: str, mesh: trimesh.Trimesh, draws: np.random.Generator) -> mi
     to_world = mi.ScalarTransform4f().translate([0, 0, 0]).scale([TABLE, TABLE, 1])
     lamp = mi.ScalarTransform4f().look_at(origin=[14, -18, 30], target=[0, 0, 3], up=[0, 0, 1]).scale(5)
     board = mi.Bitmap(GROUNDS[name](draws).astype(np.float32))
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 4},
-            "thing": thing,
-            "table": {
-                "type": "rectangle",
-                "to_world": to_world,
-                "bsdf": {
-                    "type": "twosided",
-                    "inside": {
-                        "type": "diffuse",
-                        "reflectance": {"type": "bitmap", "bitmap": board, "raw": True},
-                    },
-                },
-            },
-            "lamp": {
-                "type": "rectangle",
-                "to_world": lamp,
-                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [19.0, 18.0, 16.0]}},
-            },
-            "room": {"type": "constant", "radiance": {"type": "rgb", "value": [0.42, 0.45, 0.5]}},
-        }
-    )
+    ground = {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": board, "raw": True}}
+    light = {"type": "area", "radiance": {"type": "rgb", "value": [19.0, 18.0, 16.0]}}
+    parts = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4},
+        "thing": thing,
+        "table": {"type": "rectangle", "to_world": to_world, "bsdf": {"type": "twosided", "inside": ground}},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": light},
+        "room": {"type": "constant", "radiance": {"type": "rgb", "value": [0.42, 0.45, 0.5]}},
+    }
+    return mi.load_dict(parts)
 
 
 def _glaze() -> mi.Properties:
     """Return the properties of a mesh that is painted by its vertices and glazed."""
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(
-        {
-            "type": "principled",
-            "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
-            "roughness": 0.45,
-            "clearcoat": 0.6,
-            "clearcoat_gloss": 0.9,
-        }
-    )
+    properties, paint = mi.Properties(), {"type": "mesh_attribute", "name": "vertex_color"}
+    glaze = {"roughness": 0.45, "clearcoat": 0.6, "clearcoat_gloss": 0.9}
+    properties["bsdf"] = mi.load_dict({"type": "principled", "base_color": paint, **glaze})
     return properties
 
 
@@ -173,18 +150,16 @@ def photographed(
 ) -> Image.Image:
     """Return one photograph: pinhole picture, bent by the lens, noise, sRGB."""
     wide, high = round(WIDTH * MARGIN), round(HEIGHT * MARGIN)
-    sensor = mi.load_dict(
-        {
-            "type": "perspective",
-            "fov": float(np.degrees(2 * np.arctan(wide / 2 / FOCAL))),
-            "fov_axis": "x",
-            "to_world": mi.ScalarTransform4f().look_at(
-                origin=list(centre), target=list(target), up=[0, 0, 1]
-            ),
-            "film": {"type": "hdrfilm", "width": wide, "height": high, "rfilter": {"type": "gaussian"}},
-            "sampler": {"type": "independent", "sample_count": samples},
-        }
-    )
+    place = mi.ScalarTransform4f().look_at(origin=list(centre), target=list(target), up=[0, 0, 1])
+    camera = {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(wide / 2 / FOCAL))),
+        "fov_axis": "x",
+        "to_world": place,
+        "film": {"type": "hdrfilm", "width": wide, "height": high, "rfilter": {"type": "gaussian"}},
+        "sampler": {"type": "independent", "sample_count": samples},
+    }
+    sensor = mi.load_dict(camera)
     seed = int(draws.integers(2**31))
     plain = np.array(mi.render(scene, sensor=sensor, spp=samples, seed=seed))[..., :3]
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
