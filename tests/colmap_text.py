@@ -1,7 +1,5 @@
 """COLMAP's text model, written: the package writes binary ones, and reads both."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Mesh files as text and binary: the unit cube in dialects of OBJ, PLY, STL and OFF, sound or damaged."""
 
-from __future__ import annotations
-
 import re
 import struct
 from typing import Any
@@ -59,6 +57,8 @@ STL_TEXT = f"solid unit cube\n{FACETS}endsolid unit cube\n".replace(" 1\n", " 1e
 UNEVEN = re.sub(r"( endloop\n.*\n.*\n.*\n)(  vertex.*\n)", r"\2\1", STL_TEXT, count=1)
 OFF = "8 12 0\n" + lines(POINTS) + lines(FACES, "3 ")
 SLASHES = OBJ.replace("\nf", "\nvt 0 0\nvn 0 0 1\nf", 1).replace("f 1 ", "f 1/1/1 ")
+TWO_LISTS = ply(data=(lines(POINTS) + lines((3, *face, 3, *face) for face in FACES)).encode())
+TWO_LISTS = TWO_LISTS.replace(b"end_header", b"property list uchar int vertex_index\nend_header")
 COLOURED = ply(
     head="property uchar red\nelement edge 1\nproperty int a\nproperty int b\n",
     points=lines(POINTS).replace("\n", " 200\n") + "0 1\n",
@@ -126,6 +126,9 @@ FILES: dict[str, dict[str, Any]] = {
             "300 is no whole number of the type uint8",
         ),
         "more numbers than declared": (ply(end="3 0 1 2\n"), "4 numbers more than it declares"),
+        "a property twice": (ply(head="property float z\n"), "declares 'z' twice"),
+        "an element twice": (ply(head="element vertex 0\nproperty float x\n"), "declares 'vertex' twice"),
+        "two lists of corners": (TWO_LISTS, "vertex_indices, or two of it"),
     },
     "STL": {
         "binary": stl(),

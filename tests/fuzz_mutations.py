@@ -1,7 +1,5 @@
 """Mutations of a sound file's bytes, for `fuzz_readers`: of any file, of text, and of formats' own parts."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import io
@@ -32,9 +30,8 @@ def mutate_bytes(data: bytes, draws: Draws) -> bytes:
         match draws.integers(7):
             case 0:
                 bit = 1 << int(draws.integers(8))
-                data = (
-                    data[:place] + bytes(byte ^ bit for byte in data[place : place + 1]) + data[place + 1 :]
-                )
+                flipped = bytes(byte ^ bit for byte in data[place : place + 1])
+                data = data[:place] + flipped + data[place + 1 :]
             case 1:
                 data = data[:place] + draws.bytes(end - place) + data[end:]
             case 2:

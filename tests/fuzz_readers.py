@@ -5,8 +5,6 @@ another exception, a crash, more than SECONDS of CPU for one file, more than 2 G
 before. Files are read in a child process, which a fault may end. File number i of a seed is always the same.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource
@@ -66,14 +64,10 @@ def _scenes(folder: Path) -> dict[str, Sample]:
 
     draws = stream(0, "fuzz scene")
     names = ["a.png", "b.jpg", "c.tif", "d.png"]
-    model = Model(
-        {1: Intrinsics("PINHOLE", 24, 16, (20.0, 21.0, 12.0, 8.0))},
-        {i + 1: Pose(name, 1, (1.0, 0.0, 0.1 * i, 0.0), (0.0, 0.1, 3.0)) for i, name in enumerate(names)},
-        np.arange(1, 9),
-        draws.normal(size=(8, 3)),
-        draws.integers(0, 256, (8, 3)).astype(np.uint8),
-        np.ones(8),
-    )
+    cameras = {1: Intrinsics("PINHOLE", 24, 16, (20.0, 21.0, 12.0, 8.0))}
+    poses = (Pose(name, 1, (1.0, 0.0, 0.1 * i, 0.0), (0.0, 0.1, 3.0)) for i, name in enumerate(names))
+    points, colours = draws.normal(size=(8, 3)), draws.integers(0, 256, (8, 3)).astype(np.uint8)
+    model = Model(cameras, dict(enumerate(poses, 1)), np.arange(1, 9), points, colours, np.ones(8))
     found = {}
     for kind, words in (("bin", False), ("txt", True)):
         place = folder / kind
@@ -88,13 +82,16 @@ def _scenes(folder: Path) -> dict[str, Sample]:
     for name in names:
         pixels = draws.integers(0, 256, (16, 24, 4 if name[0] == "a" else 3)).astype(np.uint8)
         Image.fromarray(pixels).save(scene / "images" / name)
-        png = (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)
-        found[f"image {name}"] = Sample(scene / "images" / name, partial(load_scene, scene), png)
+        found[f"image {name}"] = Sample(scene / "images" / name, partial(load_scene, scene), of_picture(name))
     write_json(scene / "scene.json", {"background": [1.0, 0.5, 0.0], "radius": 1.0, "key": "x"})
-    found["scene.json"] = Sample(
-        scene / "scene.json", partial(load_scene, scene), (mutate_bytes, mutate_json)
-    )
+    texts = (mutate_bytes, mutate_json)
+    found["scene.json"] = Sample(scene / "scene.json", partial(load_scene, scene), texts)
     return found
+
+
+def of_picture(name: str) -> tuple[Mutation, ...]:
+    """Return the mutations of a picture file."""
+    return (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)
 
 
 def _pictures(folder: Path) -> dict[str, Sample]:
@@ -111,27 +108,23 @@ def _pictures(folder: Path) -> dict[str, Sample]:
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
     photographs, nerf = folder / "photographs", folder / "nerf"
     photographs.mkdir(), nerf.mkdir()
-    found = {}
-    for name in ("a.jpg", "b.png", "c.tif", "d.webp", "e.bmp"):
-        Image.fromarray(draws.integers(0, 256, (16, 24, 3)).astype(np.uint8)).save(
-            photographs / name, exif=exif
-        )
 
     def photos() -> None:
         with tempfile.TemporaryDirectory() as work:
             prepared(photographs_in(photographs), Path(work) / "pictures", Path(work) / "masks", 64, False)
 
+    found = {}
     for name in ("a.jpg", "b.png", "c.tif", "d.webp", "e.bmp"):
-        png = (mutate_bytes, mutate_png) if name.endswith(".png") else (mutate_bytes,)
-        found[f"photograph {name}"] = Sample(photographs / name, photos, png)
+        pixels = draws.integers(0, 256, (16, 24, 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(photographs / name, exif=exif)
+        found[f"photograph {name}"] = Sample(photographs / name, photos, of_picture(name))
 
     ball = np.hypot(*np.indices((24, 24)) - 11.5) < 8
-    poses = trimesh.transformations.rotation_matrix, np.linspace(0, 2 * np.pi, 5)[:-1]
-    frames = []
-    for index, angle in enumerate(poses[1]):
+    frames, matrices = [], trimesh.transformations
+    for index, angle in enumerate(np.linspace(0, 2 * np.pi, 5)[:-1]):
         pixels = np.dstack([draws.integers(0, 256, (24, 24, 3)), 255 * ball]).astype(np.uint8)
         Image.fromarray(pixels).save(nerf / f"r_{index}.png")
-        pose = poses[0](angle, (0, 1, 0)) @ trimesh.transformations.translation_matrix((0, 0, 4))
+        pose = matrices.rotation_matrix(angle, (0, 1, 0)) @ matrices.translation_matrix((0, 0, 4))
         frames.append({"file_path": f"./r_{index}", "transform_matrix": pose.tolist()})
     size = {"fl_x": 30.0, "fl_y": 31.0, "cx": 12.0, "cy": 12.5, "w": 24, "h": 24}
     write_json(nerf / "transforms.json", {"camera_angle_x": 0.8, **size, "frames": frames})
@@ -142,48 +135,36 @@ def _pictures(folder: Path) -> dict[str, Sample]:
             config = TransformsConfig(size=24, points=50)
             return load_scene(transforms_scene(nerf / "transforms.json", Path(work) / "scene", config))
 
-    file, texts = nerf / "transforms.json", (mutate_bytes, mutate_json, mutate_json)
-    view = nerf / "r_1.png"
-    return found | {
-        "transforms.json": Sample(file, transforms, texts),
-        "RGBA view": Sample(view, transforms, (mutate_bytes, mutate_png)),
-    }
+    texts = (mutate_bytes, mutate_json, mutate_json)
+    found["transforms.json"] = Sample(nerf / "transforms.json", transforms, texts)
+    found["RGBA view"] = Sample(nerf / "r_1.png", transforms, (mutate_bytes, mutate_png))
+    return found
 
 
 def _meshes(folder: Path) -> dict[str, Sample]:
     from paper_artifact.mesh import load_mesh
 
     found = {}
-    textured = trimesh.creation.icosphere(1)
-    for kind, ending in (
-        ("ply", "ply"),
-        ("ascii", "ply"),
-        ("obj", "obj"),
-        ("off", "off"),
-        ("stl", "stl"),
-        ("glb", "glb"),
-    ):
-        file = folder / f"{kind}.{ending}"
-        textured.export(file, **({"encoding": "ascii"} if kind == "ascii" else {}))
-        words = {"ascii": mutate_words, "obj": mutate_words, "off": mutate_words, "glb": mutate_glb}
-        mutations = (mutate_bytes, words[kind]) if kind in words else (mutate_bytes,)
-        found[f"mesh {file.name}"] = Sample(file, partial(load_mesh, file), mutations)
+    own = {"ascii.ply": mutate_words, "obj.obj": mutate_words, "off.off": mutate_words, "glb.glb": mutate_glb}
+    for name in ("ply.ply", "ascii.ply", "obj.obj", "off.off", "stl.stl", "glb.glb"):
+        file = folder / name
+        trimesh.creation.icosphere(1).export(file, **{"encoding": "ascii"} if name == "ascii.ply" else {})
+        mutations = (mutate_bytes, own[name]) if name in own else (mutate_bytes,)
+        found[f"mesh {name}"] = Sample(file, partial(load_mesh, file), mutations)
     return found
 
 
 def _texts(folder: Path) -> dict[str, Sample]:
     from paper_artifact.record.store import make_record, read_record, write_record
-    from paper_artifact.topology.bundle import Bundle, load_bundle
+    from paper_artifact.topology.bundle import load_bundle
     from tests.tiny_run import tiny_config
+    from tests.topology_cases import handmade_bundle
 
     log = [{"event": "refresh", "step": step, "bars": [[0.1 * step, 0.5]]} for step in range(1, 30)]
     dumps = [{"step": step, "counts": [0, 0, 1], "bottleneck": [0.1, 0.2, 0.3]} for step in (20, 30, 60)]
     config = tiny_config(condition="C1")
     record = write_record(make_record(config, dumps, {}, {"photometric": 1.0}, topology=log), folder / "runs")
-    bars = (np.zeros((0, 2)), np.array([[0.1, 0.4], [0.1, 0.3]]), np.zeros((0, 2)))
-    reasons = ("none", "two", "none")
-    bundle = Bundle(bars, (1,), reasons, 512, 0, 0.05, 6.0, 2.0, "torus", "sha256:0")
-    bundle.save(folder / "bundle.json")
+    handmade_bundle([[0.1, 0.4], [0.1, 0.3]], 1, 512).save(folder / "bundle.json")
     texts = (mutate_bytes, mutate_json, mutate_json)
     return {
         "record": Sample(record, partial(read_record, record), texts),
@@ -203,20 +184,16 @@ def _soups(folder: Path) -> dict[str, Sample]:
     from tests.tiny_run import tiny_config
 
     torch.set_num_threads(1)
+    file, checkpoint = folder / "soup.npz", folder / "checkpoint.pt"
     soup = initial_soup(stream(0, "fuzz soup").normal(size=(40, 3)).astype(np.float32), 12, 0)
-    save_soup(folder / "soup.npz", soup)
+    save_soup(file, soup)
     backend: Any = SimpleNamespace(to_host=lambda each: each, to_device=lambda each: each)
-    state, file = TrainState(10, soup, SoupOptimiser(soup)), folder / "checkpoint.pt"
-    write_checkpoint(file, tiny_config(), state, None, backend)
-
-    def resume() -> object:
-        return resumed_state(file, tiny_config(), None, backend)
-
+    state = TrainState(10, soup, SoupOptimiser(soup))
+    write_checkpoint(checkpoint, tiny_config(), state, None, backend)
+    resume = partial(resumed_state, checkpoint, tiny_config(), None, backend)
     return {
-        "soup": Sample(
-            folder / "soup.npz", partial(load_soup, folder / "soup.npz"), (mutate_bytes, mutate_zip)
-        ),
-        "checkpoint": Sample(file, resume, (mutate_bytes, mutate_sealed)),
+        "soup": Sample(file, partial(load_soup, file), (mutate_bytes, mutate_zip)),
+        "checkpoint": Sample(checkpoint, resume, (mutate_bytes, mutate_sealed)),
     }
 
 
@@ -283,37 +260,27 @@ def fuzz(count: int, seed: int = 0) -> dict[int, tuple[str, str]]:
             raise RuntimeError(f"the child process failed: {ended.stderr[-2000:]}")
         index, kind, _ = rows[-1]
         hang = ended.returncode == -signal.SIGPROF
-        found[index] = (
-            kind,
-            f"more than {SECONDS} s" if hang else f"the process ended with {ended.returncode}",
-        )
+        fault = f"more than {SECONDS} s" if hang else f"the process ended with {ended.returncode}"
+        found[index] = kind, fault
     return found
 
 
 def main() -> int:
     """Print a table by kind, and every fault; return 1 when there is one."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "count", type=int, nargs="?", default=2000, help="mutated files (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="another one gives other files (default: %(default)s)"
-    )
+    parser.add_argument("count", type=int, nargs="?", default=2000, help="mutated files (2000)")
+    parser.add_argument("--seed", type=int, default=0, help="another one gives other files (0)")
     parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child is not None:
         child(arguments.child, arguments.count, arguments.seed)
         return 0
     found = fuzz(arguments.count, arguments.seed)
-    table = Counter(
-        (kind.partition(",")[0], result if result in ("read", "refused") else "fault")
-        for kind, result in found.values()
-    )
-    for kind in sorted({kind for kind, _ in table}):
-        print(
-            f"{kind:24s}" + "".join(f"{table[kind, what]:6d} {what}" for what in ("read", "refused", "fault"))
-        )
     faults = {index: each for index, each in found.items() if each[1] not in ("read", "refused")}
+    outcomes = {index: "fault" if index in faults else found[index][1] for index in found}
+    table = Counter((kind.partition(",")[0], outcomes[index]) for index, (kind, _) in found.items())
+    for kind in sorted({kind for kind, _ in table}):
+        print(f"{kind:24s}", *(f"{table[kind, what]:6d} {what}" for what in ("read", "refused", "fault")))
     for index, (kind, result) in faults.items():
         print(f"file {index} ({kind}): {result}")
     print(f"{len(found)} mutated files, {len(faults)} faults")

@@ -1,7 +1,5 @@
 """Cameras and small soups that the raster tests share."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

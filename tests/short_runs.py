@@ -5,8 +5,6 @@ short_runs.json; one that changes words alone shows in `topology` (notes), `audi
 replaces the digests of what was run. Exit code 1 where one differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import io
@@ -58,18 +56,8 @@ RUNS = {
     "ingest": "ingest {mesh} --out shell.ply --offset .03 --quiet",
 }
 SECTIONS = (
-    "dumps",
-    "losses",
-    "topology",
-    "statement",
-    "bundle",
-    "images",
-    "tails",
-    "soup",
-    "mesh",
-    "scene",
-    "frame",
-)
+    "dumps", "losses", "topology", "statement", "bundle", "images", "tails", "soup", "mesh", "scene", "frame",
+)  # fmt: skip
 SECONDS = re.compile(
     r"second|memory|time|version|path|cpu|host|package|^mesh$|^name$|^commands$|sentence|remark|word"
 )
@@ -107,19 +95,17 @@ def digests(folder: Path, since: dict[Path, float]) -> dict[str, str]:
     for path in sorted(folder.rglob("*")):
         if not path.is_file() or since.get(path) == path.stat().st_mtime or path.suffix in (".html", ".obj"):
             continue
-        name = str(path.relative_to(folder))
-        if path.parent.name == "runs":
+        name, place = str(path.relative_to(folder)), path.parent.name
+        if place == "checkpoints" or "scenes" in path.parts or path.name.startswith("."):
+            continue
+        if place == "runs":
             record = json.loads(path.read_text(encoding="utf-8"))
-            found |= {
-                f"{name}: {part}": short(json.dumps(record[part], sort_keys=True).encode())
-                for part in SECTIONS
-                if part in record
-            }
-        elif path.parent.name == "soups":
+            for part in SECTIONS:
+                if part in record:
+                    found[f"{name}: {part}"] = short(json.dumps(record[part], sort_keys=True).encode())
+        elif place == "soups":
             with np.load(path) as arrays:
                 found[name] = short(b"".join(arrays[each].tobytes() for each in sorted(arrays.files)))
-        elif path.parts[-2] == "checkpoints" or "scenes" in path.parts or path.name.startswith("."):
-            continue
         elif path.suffix == ".json":
             found[name] = short(json.dumps(bare(json.loads(path.read_text(encoding="utf-8")))).encode())
         else:

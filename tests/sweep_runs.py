@@ -1,8 +1,6 @@
 """Two runs of the smallest kind for the sweep's tests, and a way to stop one in the middle, at a step that is
 known."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time
@@ -11,60 +9,34 @@ from pathlib import Path
 
 from paper_artifact.catalogue import study_config
 
-CONFIGS = tuple(
-    study_config(
-        "sphere",
-        seed=seed,
-        steps=12,
-        budget=30,
-        views=8,
-        size=32,
-        initial_ratio=3.0,
-        resample_every=4,
-        samples=300,
-        dump_steps=(6, 10, 12),
-    )
-    for seed in (0, 1)
-)
+SMALLEST = {"steps": 12, "budget": 30, "views": 8, "size": 32, "initial_ratio": 3.0, "resample_every": 4}
+SMALLEST |= {"samples": 300, "dump_steps": (6, 10, 12)}
+CONFIGS = tuple(study_config("sphere", seed=seed, **SMALLEST) for seed in (0, 1))
 STEP = 8  # of the checkpoint after which `blocked_run` stops
 
-# Imported by every Python that finds it on PYTHONPATH. The first run that writes its checkpoint of STEP
-# leaves a marker and waits for ever; all others go on.
+# Imported by every Python that finds it on PYTHONPATH. The first run that has put its second checkpoint (of
+# STEP) in place leaves a marker and waits for ever; all others go on.
 _BLOCK = """
-import os, sys, time
-from importlib.machinery import PathFinder
+import os, time
 
-def wait_once(step):
+replace, marker, written = os.replace, os.environ["BLOCKED_RUN"], []
+
+def replace_and_wait(old, new, **options):
+    replace(old, new, **options)
+    written.extend([new] * (os.path.basename(os.path.dirname(new)) == "checkpoints"))
+    if len(written) != 2:
+        return
     try:
-        handle = os.open(os.environ["BLOCKED_RUN"] + ".lock", os.O_CREAT | os.O_EXCL)
+        os.close(os.open(marker + ".lock", os.O_CREAT | os.O_EXCL))
     except FileExistsError:
         return
-    os.close(handle)
-    with open(os.environ["BLOCKED_RUN"] + ".new", "w") as file:
+    with open(marker + ".new", "w") as file:
         file.write(f"{os.getpid()} {os.getppid()}")
-    os.rename(file.name, os.environ["BLOCKED_RUN"])
+    replace(file.name, marker)
     while True:
         time.sleep(1)
 
-class Finder:
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name != "paper_artifact.train.loop":
-            return None
-        spec = PathFinder.find_spec(name, path)
-        execute = spec.loader.exec_module
-        def exec_module(module):
-            execute(module)
-            write = module.write_checkpoint
-            def write_checkpoint(path, config, state, *others):
-                write(path, config, state, *others)
-                if state.step == STEP:
-                    wait_once(state.step)
-            module.write_checkpoint = write_checkpoint
-        spec.loader.exec_module = exec_module
-        return spec
-
-sys.meta_path.insert(0, Finder)
+os.replace = replace_and_wait
 """
 
 
@@ -90,10 +62,8 @@ def blocked_run(folder: Path, monkeypatch) -> Marker:
     """Let the first run that is started from now on stop after its checkpoint of STEP, until its process is
     killed."""
     (folder / "path").mkdir()
-    (folder / "path" / "sitecustomize.py").write_text(_BLOCK.replace("STEP", str(STEP)))
-    monkeypatch.setenv(
-        "PYTHONPATH", os.pathsep.join([str(folder / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    )
+    (folder / "path" / "sitecustomize.py").write_text(_BLOCK)
+    monkeypatch.setenv("PYTHONPATH", str(folder / "path"), prepend=os.pathsep)
     monkeypatch.setenv("BLOCKED_RUN", str(folder / "blocked"))
     return Marker(folder / "blocked")
 
@@ -120,9 +90,9 @@ def results_with_scene(folder: Path, copy_of: Path | None = None) -> Path:
 
 def same_run(first: dict, second: dict) -> bool:
     """Say whether two records are of the same run, whatever machine, time and stops it had."""
-    circumstances = ("timings", "host", "resumed_at", "cpu_seconds", "digest")
-    return all(
+    circumstances = {"timings", "host", "resumed_at", "cpu_seconds", "digest"}
+    one, other = (
         {name: value for name, value in record.items() if name not in circumstances}
-        == {name: value for name, value in first.items() if name not in circumstances}
         for record in (first, second)
     )
+    return one == other

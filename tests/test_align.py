@@ -1,7 +1,5 @@
 """The similarity between two frames is found exactly, mirrored and flat sets too, and refused where open."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

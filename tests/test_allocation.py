@@ -1,7 +1,5 @@
 """The allocation study's field and levers: the paper's formula, the width-matched control, budget parity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,53 +17,37 @@ from paper_artifact.soup.split import bisected
 from paper_artifact.soup.state import Soup, initial_mlp
 from paper_artifact.topology.floor import median_spacing
 from paper_artifact.topology.importance import Kernels, feature_kernels, importance_field
-from paper_artifact.train.loop import train
 from tests.raster_cases import cameras
 from tests.raster_cases import soup as random_soup
-from tests.tiny_run import tiny_config
-
-
-def torus_points(count: int = 800) -> np.ndarray:
-    u, v = np.random.default_rng(0).random((2, count)) * 2 * np.pi
-    ring = 1 + 0.4 * np.cos(v)
-    return np.column_stack([ring * np.cos(u), ring * np.sin(u), 0.4 * np.sin(v)])
+from tests.test_alpha_pairs import torus
 
 
 def test_kernels_are_the_papers():
-    points = torus_points()
+    points = torus(800)
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     narrow, wide = feature_kernels(points, diagonal, 1.0), feature_kernels(points, diagonal, 3.0)
     for one, three in zip(narrow, wide, strict=True):
         assert len(one.centres) >= 3 and np.array_equal(one.centres, three.centres)
         assert {tuple(row) for row in one.centres} <= {tuple(row) for row in points}
         np.testing.assert_allclose(three.widths, 3 * one.widths)
-        np.testing.assert_allclose(
-            three.weights * three.widths**2, one.weights * one.widths**2
-        )  # constant mass
-        assert (one.widths >= 3 * median_spacing(points) * (1 - 1e-12)).all() and (
-            one.widths <= diagonal / 2
-        ).all()
+        mass = [each.weights * each.widths**2 for each in (one, three)]
+        np.testing.assert_allclose(*mass)
+        assert one.widths.min() >= 3 * median_spacing(points) * (1 - 1e-12)
+        assert one.widths.max() <= diagonal / 2
     kernels = narrow[0]
     query = np.array([[0.3, 0.2, 0.1], [1.0, 0.0, 0.4]])
-    by_hand = [
-        sum(
-            weight * np.exp(-np.sum((q - centre) ** 2) / (2 * width**2))
-            for centre, weight, width in zip(kernels.centres, kernels.weights, kernels.widths, strict=True)
-        )
-        for q in query
-    ]
+    squares = ((query[:, None] - kernels.centres) ** 2).sum(axis=2)
+    by_hand = (kernels.weights * np.exp(-squares / (2 * kernels.widths**2))).sum(axis=1)
     np.testing.assert_allclose(kernels.at(query), by_hand, rtol=1e-12)
 
 
 def test_the_field_is_normalised_per_dimension_and_takes_the_nearest_sample():
-    dense = torus_points(5000)
+    dense = torus(5000)
     weak = Kernels(dense[:1], np.array([1e-6]), np.array([0.3]))
     strong = Kernels(dense[99:100], np.array([1e6]), np.array([0.3]))
     field = importance_field([weak, strong], dense)
     assert field.values.min() >= 0 and field.values.max() == 1.0
-    assert (
-        field.values[0] == field.values[99] == 1.0
-    )  # the weight of a dimension does not matter, only its shape
+    assert field.values[0] == field.values[99] == 1.0  # a dimension's weight does not matter, only its shape
     assert np.array_equal(field(dense[:50] + 1e-9), field.values[:50])
     raw = np.stack([each.at(dense) / np.percentile(each.at(dense), 99.5) for each in (weak, strong)])
     np.testing.assert_allclose(field.values, np.minimum(raw, 1).max(axis=0))
@@ -81,8 +63,7 @@ def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
     }
     assert np.array_equal(fields["B4", 0].values, fields["B4", 1].values)
     assert not np.allclose(fields["B5", 0].values, fields["B5", 1].values)
-    nothing = make_run_allocation(study_config("sphere", "C1"), mesh, mesh.vertices)
-    assert nothing == (None, None)
+    assert make_run_allocation(study_config("sphere", "C1"), mesh, mesh.vertices) == (None, None)
     resampler, start = make_run_allocation(study_config("sphere", "B1"), mesh, mesh.vertices)
     assert resampler is None and start.shape == (len(mesh.vertices),) and 0 <= start.min() < start.max() <= 1
 
@@ -115,19 +96,13 @@ def test_protection_and_respawn_choose_the_important():
 
 def test_halves_cover_the_parent():
     corners = np.random.default_rng(1).random((6, 3, 3)).astype(np.float32)
-
-    def area(each):
-        return np.linalg.norm(np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]), axis=1) / 2
-
     halves, origins = bisected(corners, np.array([1, 4]))
     assert len(halves) == 8 and list(origins) == [0, 1, 2, 3, 4, 5, 1, 4]
-    np.testing.assert_allclose(np.bincount(origins, area(halves)), area(corners), rtol=1e-5)
-    np.testing.assert_allclose(area(halves)[[1, 4]], area(corners)[[1, 4]] / 2, rtol=1e-5)
-
-    def normal(each):
-        return np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0])
-
-    assert (np.einsum("nk,nk->n", normal(halves), normal(corners)[origins]) > 0).all()
+    new, old = (np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]) for each in (halves, corners))
+    size, whole = np.linalg.norm(new, axis=1), np.linalg.norm(old, axis=1)
+    np.testing.assert_allclose(np.bincount(origins, size), whole, rtol=1e-5)
+    np.testing.assert_allclose(size[[1, 4]], whole[[1, 4]] / 2, rtol=1e-5)
+    assert (np.einsum("nk,nk->n", new, old[origins]) > 0).all()
 
 
 @pytest.mark.parametrize("count", [50, 90])
@@ -163,17 +138,10 @@ def test_a_share_of_less_than_a_triangle_and_a_target_without_features_are_refus
 
 
 def test_the_first_triangles_follow_the_importance():
-    points = torus_points(4000)
+    points = torus(4000)
     weight = (points[:, 0] > 0).astype(float)
     plain, placed = (initial_soup(points, 600, 0, each).vertices.detach().numpy() for each in (None, weight))
     share = [(each.mean(axis=1)[:, 0] > 0).mean() for each in (plain, placed)]
     assert abs(share[0] - 0.5) < 0.05 and share[1] > 0.62
     centres = [each[:400].mean(axis=1) for each in (plain, placed)]
     np.testing.assert_allclose(*centres, atol=1e-6)  # the farthest-point part is the same
-
-
-def test_without_a_prior_the_run_is_the_plain_one(tiny_scene):
-    config = tiny_config(steps=12)
-    plain = train(tiny_scene, config, device="cpu")
-    given = train(tiny_scene, config, device="cpu", resampler=Resampler(config))
-    assert plain.losses == given.losses and torch.equal(plain.soup.vertices, given.soup.vertices)

@@ -1,8 +1,4 @@
-"""Distances of diagrams against gudhi's hera and an exhaustive search; images, landscapes, plots."""
-
-from __future__ import annotations
-
-from itertools import permutations
+"""Distances of diagrams against gudhi's hera; images, landscapes, plots."""
 
 import gudhi.hera
 import numpy as np
@@ -22,7 +18,7 @@ from paper_artifact.alpha import (
     wasserstein,
 )
 from paper_artifact.errors import InputError
-from tests.test_alpha_face import CORNER, cloud
+from tests.test_alpha_face import cloud
 
 
 def hera(a: np.ndarray, b: np.ndarray) -> float:
@@ -31,23 +27,8 @@ def hera(a: np.ndarray, b: np.ndarray) -> float:
 
 def random_bars(generator: np.random.Generator, count: int, on_ray: bool) -> np.ndarray:
     births = np.zeros(count) if on_ray else generator.random(count)
-    return np.column_stack(
-        [births, births + generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6]
-    )
-
-
-def test_bottleneck_where_gudhi_itself_is_not_exact():
-    # Four bars a side; an exhaustive search gives .210629, gudhi.bottleneck_distance (3.13) .211593.
-    generator = np.random.default_rng(182)
-    a, b = random_bars(generator, 4, False), random_bars(generator, 4, False)
-    cost = np.zeros((8, 8))
-    cost[:4, :4] = np.abs(a[:, None] - b[None]).max(axis=2)
-    cost[:4, 4:] = ((a[:, 1] - a[:, 0]) / 2)[:, None]
-    cost[4:, :4] = ((b[:, 1] - b[:, 0]) / 2)[None]
-    exhaustive = min(
-        max(cost[i, column] for i, column in enumerate(columns)) for columns in permutations(range(8))
-    )
-    assert bottleneck(a, b) == pytest.approx(exhaustive, abs=1e-15)
+    lives = generator.exponential(0.3, count) * generator.choice([0.05, 1.0], count) + 1e-6
+    return np.column_stack([births, births + lives])
 
 
 @settings(max_examples=150, deadline=None)
@@ -88,35 +69,14 @@ def test_wasserstein_is_gudhis(a, b, order, internal):
     assert float(tensor) == pytest.approx(theirs, rel=1e-7, abs=1e-9)
 
 
-def test_distances_by_hand_and_bars_that_never_die():
-    inf, none = np.inf, np.empty((0, 2))
-    # The bar of half life 1 takes that of half life .6 at distance .8: cheaper than the diagonal.
-    assert bottleneck([[0, 2.0]], [[0, 1.2]]) == pytest.approx(0.8)
-    assert bottleneck([[0, 2.0]], none) == 1.0 and bottleneck(none, none) == 0
-    assert bottleneck([[0, inf]], [[1, inf]]) == wasserstein([[0, inf]], [[1, inf]]) == 1.0
-    assert bottleneck([[0, inf], [3, 9]], [[0.5, inf], [3, 8]]) == 1.0
-    assert bottleneck([[0, inf]], []) == wasserstein([[0, inf]], [[0, 1]]) == inf
-    assert wasserstein([[0, inf], [3, 9]], [[0.5, inf], [3, 8]]) == 1.5
-    assert bottleneck(alpha_persistence(CORNER, infinite=True)[0], [[0, inf]]) == pytest.approx(0.75)
-
-
 @pytest.mark.parametrize(
     "bars",
     [
-        [[2.7], [9.6]],
-        [[0, 1, 2]],
-        [0.0, 1.0],
-        [[0, np.nan]],
-        [[1, 0]],
-        [["a", "b"]],
+        [[2.7], [9.6]], [[0, 1, 2]], [0.0, 1.0], [[[0, 1]]], [["a", "b"]], [[1, 0]], [[0, np.nan]],
+        [[np.inf, np.inf]], [[-1.7e308, 1.7e308]], [[0, 10**400]], np.ones((1, 2)) * 1j,
         np.ma.masked_array([[0.0, 1.0]], mask=[[False, True]]),
-        [[-1.7e308, 1.7e308]],
-        [[0, 10**400]],
-        [[np.inf, np.inf]],
-        [[[0, 1]]],
-        np.ones((1, 2)) * 1j,
     ],
-)
+)  # fmt: skip
 def test_what_are_no_bars(bars):
     for call in (bottleneck, wasserstein):
         with pytest.raises(InputError, match="bar"):
@@ -230,5 +190,3 @@ def test_wasserstein_of_high_orders_nears_the_bottleneck_at_any_scale(order):
     for scale in (1e-200, 1.0, 1e200):
         distance, least = wasserstein(scale * a, scale * b, order), bottleneck(scale * a, scale * b)
         assert least * (1 - 1e-9) <= distance <= least * 110 ** (1 / order) * (1 + 1e-9)
-    with pytest.raises(InputError, match="give 1 to 10"):
-        wasserstein(a, b, 11)

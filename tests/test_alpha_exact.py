@@ -1,7 +1,5 @@
 """Predicates, values, radii and small diagrams against rational arithmetic and the paper's formulas."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import combinations
 
@@ -35,11 +33,8 @@ def fractions(points: np.ndarray, base: int) -> list[list[Fraction]]:
 def near_degenerate(k: int) -> np.ndarray:
     """Five points of a lattice or a plane or a sphere, some of them off by little."""
     rng = draw(f"predicate {k}")
-    bases = (
-        rng.integers(0, 3, (5, 3)) / 3.0,
-        rng.random((5, 2)) @ rng.random((2, 3)),
-        sphere(5000)[5 * k % 4000 :][:5],
-    )
+    lattice, plane = rng.integers(0, 3, (5, 3)) / 3.0, rng.random((5, 2)) @ rng.random((2, 3))
+    bases = lattice, plane, sphere(5000)[5 * k % 4000 :][:5]
     return bases[k % 3] + rng.integers(-2, 3, (5, 3)) * 2.0 ** -int(rng.integers(20, 54)) * (k % 2)
 
 
@@ -52,10 +47,8 @@ def solve(matrix: list[list[Fraction]], right: list[Fraction]) -> list[Fraction]
     det = determinant(matrix) if matrix else Fraction(1)
     if det == 0:
         return None
-    columns = range(len(matrix))
-    replaced = (
-        [[right[i] if j == k else row[j] for j in columns] for i, row in enumerate(matrix)] for k in columns
-    )
+    places = range(len(matrix))
+    replaced = ([[*row[:k], x, *row[k + 1 :]] for row, x in zip(matrix, right, strict=True)] for k in places)
     return [determinant(each) / det for each in replaced]
 
 
@@ -99,9 +92,8 @@ def test_double_doubles_and_expansions_agree_with_rational_arithmetic():
         points, rows = near_degenerate(k), np.arange(5)
         truth = determinant([[*v, sum(x * x for x in v)] for v in fractions(points, 4)])
         assert abs(evaluate(points, rows, predicates.INSPHERE, values) - truth) <= 1e-29 * 30
-        assert exact(points, rows, predicates.INSPHERE, WS, values) == pytest.approx(
-            float(truth), rel=1e-15, abs=0
-        )
+        found = exact(points, rows, predicates.INSPHERE, WS, values)
+        assert found == pytest.approx(float(truth), rel=1e-15, abs=0)
 
 
 def tetrahedron(points: np.ndarray) -> float:

@@ -1,10 +1,9 @@
 """The public face of `paper_artifact.alpha`: input at the edges, options, gradients, the filtration."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from functools import partial
+from itertools import product
 
 import gudhi
 import numpy as np
@@ -46,19 +45,14 @@ def same(ours, theirs) -> bool:
 @pytest.mark.parametrize(
     "points",
     [
-        CORNER.astype(np.int32),
-        CORNER.tolist(),
-        [tuple(row) for row in CORNER],
-        CORNER.astype(object),
-        CORNER.astype(np.longdouble),
-        np.asfortranarray(CORNER),
+        CORNER.astype(np.int32), CORNER.astype(np.longdouble), CORNER.astype(object), CORNER.tolist(),
+        [tuple(row) for row in CORNER], np.asfortranarray(CORNER),
         np.broadcast_to(CORNER, (4, 3)),  # not writeable
-        torch.tensor(CORNER, dtype=torch.int64),
-        torch.tensor(CORNER, dtype=torch.bfloat16),
+        torch.tensor(CORNER, dtype=torch.int64), torch.tensor(CORNER, dtype=torch.bfloat16),
         torch.tensor(CORNER, requires_grad=True),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_kinds_of_numbers_that_mean_the_same(points):
     right = alpha_persistence(CORNER)
     assert same(alpha_persistence(points), right)
@@ -71,29 +65,14 @@ def test_kinds_of_numbers_that_mean_the_same(points):
 @pytest.mark.parametrize(
     "points",
     [
-        CORNER + 1j,
-        torch.tensor(CORNER) + 1j,
-        CORNER.astype(str),
-        np.array([["a", "b", "c"]], dtype=object),
-        CORNER > 0,
-        np.ma.masked_array(CORNER, mask=CORNER > 2),
-        [[0, 0, None], [1, 0, 0]],
-        [[0, 0, 0], [1, 0]],
-        {"x": 1},
-        [[10**400, 0, 0], [0, 0, 0]],
-        None,
-        3.0,
-        CORNER.reshape(-1),
-        cloud(20, 4),
-        torch.tensor(CORNER).to_sparse(),
-        np.zeros((0, 4)),
-        np.zeros((2, 3, 1)),
-        np.full((4, 3), 1.7e308),
-        np.vstack([np.eye(3), [[0, np.inf, 0]]]),
-        torch.full((5, 3), float("nan")),
+        CORNER + 1j, torch.tensor(CORNER) + 1j, CORNER.astype(str), np.array([["a", "b", "c"]], dtype=object),
+        CORNER > 0, np.ma.masked_array(CORNER, mask=CORNER > 2), torch.tensor(CORNER).to_sparse(),
+        [[0, 0, None], [1, 0, 0]], [[0, 0, 0], [1, 0]], [[10**400, 0, 0], [0, 0, 0]], {"x": 1}, None, 3.0,
+        CORNER.reshape(-1), cloud(20, 4), np.zeros((0, 4)), np.zeros((2, 3, 1)),
+        np.full((4, 3), 1.7e308), np.vstack([np.eye(3), [[0, np.inf, 0]]]), torch.full((5, 3), float("nan")),
     ],
     ids=lambda points: type(points).__name__,
-)
+)  # fmt: skip
 def test_what_is_no_cloud_is_one_sentence(points):
     calls = (alpha_persistence, alpha_diagrams, alpha_filtration, partial(alpha_persistence, method="gudhi"))
     for call in calls:
@@ -115,9 +94,18 @@ def test_bars_and_gradients_scale_exactly(power):
     assert torch.equal(*gradients)
 
 
-@pytest.mark.parametrize(
-    "name", ["uniform", "soup of 5", "integer lattice", "duplicates", "coplanar", "collinear"]
-)
+def by_exact_gudhi(points: np.ndarray, **options) -> list[np.ndarray]:
+    """Return gudhi's diagrams, bars that never die and squared radii included, but bars of no length."""
+    tree = gudhi.AlphaComplex(points=points, precision="exact").create_simplex_tree(**options)
+    tree.compute_persistence(2, 0, True)
+    bars = [tree.persistence_intervals_in_dimension(d).reshape(-1, 2) for d in range(points.shape[1])]
+    return [each[each[:, 1] > each[:, 0] * (1 + 1e-12)] for each in bars]
+
+
+ORDERED = ["uniform", "soup of 5", "integer lattice", "duplicates", "coplanar", "collinear"]
+
+
+@pytest.mark.parametrize("name", ORDERED)
 def test_every_order_of_the_points_gives_the_same_bits(name):
     points = np.asarray(CLOUDS[name](), dtype=float)
     points, rng = points[:300], stream(1, "permutations")
@@ -186,15 +174,9 @@ def test_second_derivatives_are_refused_on_every_route():
 
 def test_infinite_bars_thresholds_and_squares_are_gudhis():
     points = cloud(150)
-    tree = gudhi.AlphaComplex(points=points, precision="exact").create_simplex_tree(max_alpha_square=0.25)
-    tree.compute_persistence(2, 0, True)
     ours = alpha_persistence(points, infinite=True, squared=True, max_radius=0.5)
-    for dimension, pairs in enumerate(ours):
-        theirs = tree.persistence_intervals_in_dimension(dimension)
-        theirs = theirs[theirs[:, 1] > theirs[:, 0] * (1 + 1e-12)]
-        np.testing.assert_allclose(
-            np.sort(pairs.diagram, axis=0), np.sort(theirs, axis=0), rtol=1e-9, atol=1e-12
-        )
+    for pairs, theirs in zip(ours, by_exact_gudhi(points, max_alpha_square=0.25), strict=True):
+        np.testing.assert_allclose(np.sort(pairs.diagram, 0), np.sort(theirs, 0), rtol=1e-9, atol=1e-12)
         assert ((pairs.death_simplices == -1).all(axis=1) == np.isinf(pairs.deaths)).all()
     finite = alpha_persistence(points, max_radius=0.5)
     assert [len(each) for each in finite] == [int(np.isfinite(each.deaths).sum()) for each in ours]
@@ -204,9 +186,10 @@ def test_infinite_bars_thresholds_and_squares_are_gudhis():
         np.testing.assert_allclose(tensor.bars.numpy(), pairs.diagram, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "points", [np.zeros((0, 3)), np.ones((1, 3)), np.ones((4, 3)), np.repeat(CORNER, 2, 0)]
-)
+FEW = [np.zeros((0, 3)), np.ones((1, 3)), np.ones((1, 2)), np.ones((4, 3)), np.repeat(CORNER, 2, 0)]
+
+
+@pytest.mark.parametrize("points", FEW)
 def test_one_component_never_dies(points):
     bars = alpha_persistence(points, infinite=True)[0]
     assert np.isinf(bars.deaths).sum() == min(1, len(points))
@@ -239,9 +222,8 @@ def test_bad_options(options, words):
     for points in (torch.tensor(CORNER * 1e30).float(), torch.tensor(CORNER * 1e-30).float()):
         with pytest.raises(InputError, match="leave the range of torch.float32"):
             alpha_diagrams(points, squared=True)
-    assert same(
-        alpha_persistence(CORNER, squared=True, max_radius=1e200), alpha_persistence(CORNER, squared=True)
-    )
+    far = alpha_persistence(CORNER, squared=True, max_radius=1e200)
+    assert same(far, alpha_persistence(CORNER, squared=True))
     assert len(alpha_persistence(CORNER, max_dimension=np.int64(1), max_radius=np.float32(9))) == 2
 
 
@@ -250,23 +232,13 @@ def planar(n: int) -> np.ndarray:
     return np.column_stack([np.cos(angle), np.sin(angle)]) + 0.05 * cloud(n, 2)
 
 
-@pytest.mark.parametrize(
-    "points",
-    [
-        planar(400),
-        np.argwhere(np.ones((7, 9))).astype(float),
-        np.outer(np.arange(9.0), [1, 2]),
-        np.zeros((3, 2)),
-    ],
-)
+PLANES = planar(400), np.argwhere(np.ones((7, 9))) * 1.0, np.outer(np.arange(9.0), [1, 2]), np.zeros((3, 2))
+
+
+@pytest.mark.parametrize("points", PLANES)
 def test_clouds_in_the_plane_are_gudhis_and_have_gradients(points):
-    tree = gudhi.AlphaComplex(points=points, precision="exact").create_simplex_tree()
-    tree.compute_persistence(2, 0, True)
     ours = alpha_persistence(points, squared=True, infinite=True)
-    assert len(ours) == 2
-    for dimension, pairs in enumerate(ours):
-        theirs = tree.persistence_intervals_in_dimension(dimension).reshape(-1, 2)
-        theirs = theirs[theirs[:, 1] > theirs[:, 0] * (1 + 1e-12)]
+    for pairs, theirs in zip(ours, by_exact_gudhi(points), strict=True):
         np.testing.assert_allclose(np.sort(pairs.diagram, 0), np.sort(theirs, 0), rtol=1e-9)
     leaf = torch.tensor(points, requires_grad=True)
     assert len(alpha_diagrams(leaf)) == 2
@@ -276,7 +248,7 @@ def test_clouds_in_the_plane_are_gudhis_and_have_gradients(points):
 
 
 def test_batches_lists_and_modules_are_the_single_clouds():
-    clouds = [cloud(40), cloud(300), cloud(50, 2)]
+    clouds = [cloud(50, 2), *(cloud(200, name=str(i)) for i in range(12))]  # on threads
     for many, points in zip(alpha_persistence(clouds), clouds, strict=True):
         assert same(many, alpha_persistence(points))
     batch = torch.tensor(np.stack([cloud(30), cloud(30, name="other")]), requires_grad=True)
@@ -296,9 +268,8 @@ def test_the_filtration_is_gudhis_and_so_are_its_pairs():
         ours, theirs = alpha_filtration(points), gudhi.AlphaComplex(points=points).create_simplex_tree()
         tree = ours.simplex_tree()
         assert tree.num_simplices() == theirs.num_simplices() == sum(map(len, ours.radii))
-        assert {tuple(s): pytest.approx(v, rel=1e-9) for s, v in theirs.get_filtration()} == {
-            tuple(s): v for s, v in tree.get_filtration()
-        }
+        values = {tuple(simplex): value for simplex, value in tree.get_filtration()}
+        assert values == {tuple(s): pytest.approx(v, rel=1e-9) for s, v in theirs.get_filtration()}
     empty = alpha_filtration(np.zeros((0, 3)))
     assert [*map(len, empty.simplices)] == [0] * 4 and empty.simplex_tree().num_simplices() == 0
 
@@ -332,25 +303,13 @@ def test_the_transformer_is_scikit_learns():
     assert rows.shape == (2, 9)
     lives = [np.sort(each.deaths - each.births)[::-1][:3] for each in alpha_persistence(clouds[1])]
     np.testing.assert_array_equal(rows[1], np.concatenate(lives))
-    for options in (
-        {"longest": 0},
-        {"longest": -1},
-        {"longest": 2.5},
-        {"delay": 0},
-        {"delay": "1"},
-        {"longest": 10**400},
-    ):
+    for name, value in product(("longest", "delay"), (0, -1, 2.5, "1", 10**400)):
         for X in (cloud(4), clouds):
             with pytest.raises(InputError, match="is .*; give a whole number from 1"):
-                AlphaTransformer(**options).fit(X)
+                AlphaTransformer(**{name: value}).fit(X)
     for X in ([cloud(30), cloud(30, 2)], np.zeros((0, 5, 3)), [cloud(30), cloud(30, 4)]):
         with pytest.raises(InputError, match="X has no clouds, or some|shape"):
             AlphaTransformer().fit(X)
-
-
-def test_threads_do_not_change_bits():
-    clouds = [cloud(200, name=str(i)) for i in range(12)]
-    assert all(same(a, alpha_persistence(b)) for a, b in zip(alpha_persistence(clouds), clouds, strict=True))
 
 
 def test_the_import_is_numpy_alone_and_every_name_is_there():

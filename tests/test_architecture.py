@@ -1,8 +1,6 @@
 """ARCHITECTURE.md says which room may use which, and the code keeps to it: every import is read, the ones
 inside functions too."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
@@ -148,11 +146,8 @@ def test_persistence_and_loss_stand_alone(room):
     told = subprocess.check_output([sys.executable, "-c", code], cwd=REPOSITORY, text=True).splitlines()
     assert told[0] == "False", "nothing is compiled before it is used"
     loaded = set(told[-1].split())
-    assert {name.split(".")[1] for name in loaded if name.startswith("paper_artifact.")} <= {
-        *allowed,
-        room,
-        "kernel_cache",
-    }
+    rooms_loaded = {name.split(".")[1] for name in loaded if name.startswith("paper_artifact.")}
+    assert rooms_loaded <= {*allowed, room, "kernel_cache"}
     heavy = {"trimesh", "pandas", "matplotlib", "gudhi", "PIL", "networkx"}
     assert not loaded & (heavy | ({"torch"} if room == "alpha" else set()))
 

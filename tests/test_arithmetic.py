@@ -1,7 +1,5 @@
 """Arithmetic with the same bits everywhere, held to mpmath, LAPACK and scipy."""
 
-from __future__ import annotations
-
 import mpmath
 import numpy as np
 import pytest
@@ -13,10 +11,8 @@ from paper_artifact.raster.arrays import sigmoid
 
 def ulps(ours: np.ndarray, exact: list) -> float:
     """Return the largest distance of float numbers to mpmath's, in units of the last place."""
-    spacing = np.spacing(np.abs(ours))
-    return max(
-        float(abs(mpmath.mpf(float(a)) - b) / float(s)) for a, b, s in zip(ours, exact, spacing, strict=True)
-    )
+    rows = zip(ours.tolist(), exact, np.spacing(np.abs(ours)).tolist(), strict=True)
+    return max(float(abs(mpmath.mpf(one) - other) / spacing) for one, other, spacing in rows)
 
 
 DRAWS = np.random.default_rng(0)
@@ -50,13 +46,11 @@ def test_sigmoid_is_the_nearest_float32_or_its_neighbour():
 def test_ends_and_what_is_no_number():
     infinite = np.array([np.inf, -np.inf, np.nan], np.float32)
     np.testing.assert_array_equal(sigmoid(infinite), np.array([1, 0, np.nan], np.float32))
-    np.testing.assert_array_equal(
-        arithmetic.log([0, -1, 1, np.inf, np.nan]), [-np.inf, np.nan, 0, np.inf, np.nan]
-    )
+    logarithms = arithmetic.log([0, -1, 1, np.inf, np.nan])
+    np.testing.assert_array_equal(logarithms, [-np.inf, np.nan, 0, np.inf, np.nan])
     assert np.isnan(arithmetic.exp(np.nan)) and np.isnan(arithmetic.sin([np.nan, np.inf, 1e7])).all()
-    assert arithmetic.power(0.01, 0.0) == 1.0 and arithmetic.power(0.999, 2500) == pytest.approx(
-        0.999**2500, rel=1e-14
-    )
+    assert arithmetic.power(0.01, 0.0) == 1.0
+    assert arithmetic.power(0.999, 2500) == pytest.approx(0.999**2500, rel=1e-14)
 
 
 def test_the_same_bits_one_number_at_a_time():
@@ -83,9 +77,8 @@ def test_small_matrices_are_those_of_lapack():
     for matrix in DRAWS.normal(size=(20, 3, 3)):
         adjugate, determinant = arithmetic.adjugate(matrix)
         np.testing.assert_allclose(adjugate / determinant, np.linalg.inv(matrix), rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(
-            arithmetic.product(parts[2], matrix), parts[2] @ matrix, rtol=1e-9, atol=1e-12
-        )
+        product = arithmetic.product(parts[2], matrix)
+        np.testing.assert_allclose(product, parts[2] @ matrix, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(arithmetic.product(matrix, matrix[0]), matrix @ matrix[0], atol=1e-14)
 
 

@@ -1,8 +1,6 @@
 """The book in a real browser, where one is installed: no message on the console, every page as narrow as a
 telephone, the 3-D view draws. Skipped without chromium."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

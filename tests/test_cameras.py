@@ -2,8 +2,6 @@
 texture.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,12 +37,9 @@ def test_ndc_agrees_with_colmap_pixels():
     camera = Camera(640, 480, 500.0, 510.0, 310.0, 250.0, (0.5, 0.5, -0.5, 0.5), (0.1, -0.2, 4.0))
     point = np.array([0.4, -0.3, 0.7])
     seen = camera.rotation @ point + camera.translation
-    u, v = (
-        500 * seen[0] / seen[2] + 310,
-        510 * seen[1] / seen[2] + 250,
-    )  # COLMAP: the first pixel's centre is (.5, .5)
+    u, v = 500 * seen[0] / seen[2] + 310, 510 * seen[1] / seen[2] + 250
     ndc, depth = project(camera, point)
-    row, column = v - 0.5, u - 0.5
+    row, column = v - 0.5, u - 0.5  # COLMAP: the first pixel's centre is (.5, .5)
     np.testing.assert_allclose(ndc[:2], [(2 * column + 1) / 640 - 1, (2 * row + 1) / 480 - 1], atol=1e-12)
     assert depth == pytest.approx(seen[2])
     np.testing.assert_allclose(camera.rotation @ camera.position + camera.translation, 0, atol=1e-12)
@@ -73,10 +68,7 @@ def test_cameras_follow_the_mesh_in_place_and_scale():
     moved = Mesh(10 * ball.vertices + [5, 6, 7], ball.faces, "ball")
     for camera in fibonacci_cameras(moved, 24, 100):
         assert np.linalg.norm(camera.position - [5, 6, 7]) == pytest.approx(30)
-        clip = (
-            moved.vertices @ world_to_clip(camera, 0.1, 1000)[:, :3].T
-            + world_to_clip(camera, 0.1, 1000)[:, 3]
-        )
+        clip = np.insert(moved.vertices, 3, 1, axis=1) @ world_to_clip(camera, 0.1, 1000).T
         assert np.abs(clip[:, :2] / clip[:, 3:]).max() < 1, "the whole mesh is in the image"
 
 

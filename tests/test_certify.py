@@ -2,8 +2,6 @@
 paper's dispositions.
 """
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from itertools import combinations
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from paper_artifact import cli
 from paper_artifact.certify.certificate import certificate_text, certify_mesh
 from paper_artifact.certify.homology import betti_numbers, make_complex
 from paper_artifact.errors import InputError
@@ -44,32 +41,23 @@ def betti_by_ranks(faces: np.ndarray) -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("name", shapes.KNOWN)
-def test_known_surfaces(name):
+def test_known_surfaces_against_ranks_and_trimesh(name):
     (vertices, faces), betti, verdict, words = shapes.KNOWN[name]
     certificate = certify_mesh(Mesh(vertices, faces, name))
-    assert certificate.betti == betti
     assert certificate.verdict == verdict, certificate.reasons
     assert words in (certificate.kind if certificate.passed else "; ".join(certificate.reasons))
     assert certificate.euler == betti[0] - betti[1] + betti[2]
-
-
-@pytest.mark.parametrize("name", shapes.KNOWN)
-def test_known_surfaces_against_ranks_and_trimesh(name):
-    (vertices, faces), _, _, _ = shapes.KNOWN[name]
-    certificate = certify_mesh(Mesh(vertices, faces, name))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices(digits_vertex=9)
-    assert certificate.betti == betti_by_ranks(mesh.faces)
+    assert certificate.betti == betti == betti_by_ranks(mesh.faces)
     assert certificate.euler_as_given == mesh.euler_number
     edges, times = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     assert (certificate.open_edges, certificate.nonmanifold_edges) == ((times == 1).sum(), (times > 2).sum())
     assert (certificate.open_edges + certificate.nonmanifold_edges == 0) == mesh.is_watertight
     if certificate.nonmanifold_edges == 0:
         assert (certificate.reversed_edges == 0) == mesh.is_winding_consistent
-    assert (
-        len(certificate.components)
-        == trimesh.graph.connected_component_labels(mesh.edges, len(mesh.vertices)).max() + 1
-    )
+    labels = trimesh.graph.connected_component_labels(mesh.edges, len(mesh.vertices))
+    assert len(certificate.components) == labels.max() + 1
     if certificate.passed:
         assert sum(each.volume for each in certificate.components) == pytest.approx(mesh.volume)
 
@@ -119,26 +107,16 @@ def test_the_weld_is_counted():
 
 
 def test_boundaries_are_certified_as_such_on_request():
-    (vertices, faces), _, _, _ = shapes.KNOWN["bowl"]
-    certificate = certify_mesh(Mesh(vertices, faces, "bowl"), with_boundary=True)
-    assert (
-        certificate.passed
-        and certificate.kind == "disk"
-        and certificate.boundary_loops == 1
-        and not certificate.closed
-    )
-    stages = []
-    judged = certify_mesh(Mesh(vertices, faces, "bowl"), with_boundary=None, progress=stages.append)
+    bowl, strip = Mesh(*shapes.bowl(), "bowl"), Mesh(*shapes.band(9, twist=True), "strip")
+    certificate, stages = certify_mesh(bowl, with_boundary=True), []
+    assert certificate.passed and not certificate.closed
+    assert (certificate.kind, certificate.boundary_loops) == ("disk", 1)
+    judged = certify_mesh(bowl, with_boundary=None, progress=stages.append)
     assert judged == certificate and stages[0] == "weld" and "exact homology" in stages
-    strip = certify_mesh(Mesh(*shapes.band(9, twist=True), "mesh"), with_boundary=True)
-    unsure = certify_mesh(Mesh(*shapes.band(9, twist=True), "mesh"), with_boundary=None)
+    unsure, twisted = (certify_mesh(strip, with_boundary=each) for each in (None, True))
     assert not unsure.passed and not unsure.with_boundary
-    assert (
-        not strip.passed
-        and strip.boundary_loops == 1
-        and strip.components[0].genus == 1
-        and "crosscap" in strip.kind
-    )
+    assert not twisted.passed and "crosscap" in twisted.kind
+    assert (twisted.boundary_loops, twisted.components[0].genus) == (1, 1)
 
 
 def test_winding_is_judged():
@@ -161,25 +139,19 @@ def test_the_papers_dispositions(key):
     assert candidate(key).agrees, candidate(key).measured
 
 
+DETAILS = {
+    "ogre": {"open_edges_as_indexed": 236, "open_edges": 200},
+    "teapot": {"open_edges_as_indexed": 1036, "open_edges": 160},
+    "beast": {"nonmanifold_edges": 2, "duplicate_faces": 2, "euler_as_given": 4},
+    "cow": {"betti": (1, 1, 1), "euler": 1, "pinched_vertices": 1},
+}
+
+
 def test_the_measured_details_of_the_failures():
-    certificate = {key: candidate(key).certificate for key in ("ogre", "teapot", "beast", "cow", "horse")}
-    assert (
-        certificate["ogre"].open_edges_as_indexed,
-        certificate["ogre"].open_edges,
-        len(certificate["ogre"].components),
-    ) == (236, 200, 44)
-    assert (certificate["teapot"].open_edges_as_indexed, certificate["teapot"].open_edges) == (1036, 160)
-    assert (
-        certificate["beast"].nonmanifold_edges,
-        certificate["beast"].duplicate_faces,
-        certificate["beast"].euler_as_given,
-    ) == (2, 2, 4)
-    assert (certificate["cow"].betti, certificate["cow"].euler, certificate["cow"].pinched_vertices) == (
-        (1, 1, 1),
-        1,
-        1,
-    )
-    assert certificate["horse"].components[0].volume < 0
+    for key, details in DETAILS.items():
+        assert {name: getattr(candidate(key).certificate, name) for name in details} == details
+    assert len(candidate("ogre").certificate.components) == 44
+    assert candidate("horse").certificate.components[0].volume < 0
 
 
 def test_the_candidate_that_cannot_be_had_is_listed():
@@ -187,34 +159,23 @@ def test_the_candidate_that_cannot_be_had_is_listed():
     assert row.certificate is None and "not obtainable" in row.measured
 
 
-def test_the_verb_prints_writes_and_exits(tmp_path, capsys):
+def test_the_verb_prints_writes_and_exits(tmp_path, command):
     (vertices, faces), _, _, _ = shapes.KNOWN["pinched vertex"]
-    path = tmp_path / "pinched.off"
-    trimesh.Trimesh(vertices, faces, process=False).export(path)
-    assert cli.main(["certify", str(path), "--json", str(tmp_path / "c.json")]) == 1
-    printed = capsys.readouterr().out
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "pinched.off")
+    printed = command(f"certify {tmp_path}/pinched.off --json {tmp_path}/c.json", code=1).out
     assert "FAIL" in printed and "1 pinched vertex" in printed and "(1, 0, 2)" in printed
     stored = json.loads((tmp_path / "c.json").read_text())
-    assert (
-        stored["betti"] == [1, 0, 2]
-        and stored["verdict"] == "fail"
-        and stored["components"][0]["pinched_vertices"] == 1
-    )
-    assert cli.main(["certify", "bowl_narrow", "--quiet"]) == 0
-    assert "PASS as a surface with boundary (1 boundary loop; not closed)" in capsys.readouterr().out
-    assert cli.main(["certify", "bowl_narrow", "--closed", "--quiet"]) == 1
-    assert "FAIL" in capsys.readouterr().out
+    assert stored["betti"] == [1, 0, 2] and stored["verdict"] == "fail"
+    assert stored["components"][0]["pinched_vertices"] == 1
+    open_bowl = command("certify bowl_narrow --quiet").out
+    assert "PASS as a surface with boundary (1 boundary loop; not closed)" in open_bowl
+    assert "FAIL" in command("certify bowl_narrow --closed --quiet", code=1).out
 
 
 def test_many_components_are_cut_short_in_the_table():
     many = shapes.joined(*[shapes.tetrahedron(3.0 * i) for i in range(20)])
     certificate = certify_mesh(Mesh(*many, "mesh"))
     assert certificate.betti == (20, 0, 20) and "and 8 smaller components" in certificate_text(certificate)
-
-
-def test_nothing_left_is_refused():
-    with pytest.raises(InputError, match="no triangle with three different corners"):
-        certify_mesh(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), "mesh"))
 
 
 def test_a_file_is_certified_as_it_was_written(tmp_path):
@@ -225,29 +186,20 @@ def test_a_file_is_certified_as_it_was_written(tmp_path):
 
 
 BOX = trimesh.creation.box()
-NO_MESH = {
-    "nan": (
-        Mesh(np.where(BOX.vertices > 0, np.nan, BOX.vertices), BOX.faces, "box"),
-        "NaN or infinite coord",
-    ),
-    "inf": (
-        Mesh(np.where(BOX.vertices > 0, np.inf, BOX.vertices), BOX.faces, "box"),
-        "NaN or infinite coord",
-    ),
-    "negative": (Mesh(BOX.vertices, BOX.faces - 8, "box"), "box has a face that refers to vertex -"),
-    "beyond": (Mesh(BOX.vertices, BOX.faces + 8, "box"), "box has a face that refers to vertex"),
-    "fractions": (Mesh(BOX.vertices, BOX.faces + 0.5, "box"), "refers to vertex .*, no whole number"),
-    "quads": (Mesh(BOX.vertices, np.array([[0, 1, 3, 2]]), "box"), r"faces \(1, 4\)"),
-    "plane": (Mesh(BOX.vertices[:, :2], BOX.faces, "box"), r"vertices \(8, 2\)"),
-    "huge": (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300, too large"),
-    "tiny": (Mesh(1e-300 * BOX.vertices, BOX.faces, "box"), "extends over 1e-300, too small"),
-    "trimesh's": (BOX, "a Trimesh is no Mesh"),
-    "none": (None, "a NoneType is no Mesh"),
-}
 
 
-@pytest.mark.parametrize("name", NO_MESH)
-def test_what_is_no_mesh_gets_no_certificate(name):
-    mesh, words = NO_MESH[name]
+@pytest.mark.parametrize(
+    "mesh, words",
+    [
+        (Mesh(np.where(BOX.vertices > 0, np.nan, BOX.vertices), BOX.faces, "box"), "NaN or infinite coord"),
+        (Mesh(BOX.vertices, BOX.faces + 8, "box"), "box has a face that refers to vertex"),
+        (Mesh(1e300 * BOX.vertices, BOX.faces, "box"), "extends over 1e.300, too large"),
+        (Mesh(0 * BOX.vertices, BOX.faces, "box"), "no triangle with three different corners"),
+        (BOX, "a Trimesh is no Mesh"),
+        (None, "a NoneType is no Mesh"),
+    ],
+)
+def test_what_is_no_mesh_gets_no_certificate(mesh, words):
+    """What else arrays can be: test_mesh."""
     with pytest.raises(InputError, match=words):
         certify_mesh(mesh)

@@ -1,7 +1,5 @@
 """The verbs evaluate and export on a soup made from a known surface."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -12,7 +10,6 @@ import torch
 import trimesh
 from PIL import Image
 
-from paper_artifact.cli import main
 from paper_artifact.cli.output import next_command
 from paper_artifact.config import GivenConfig, RunConfig
 from paper_artifact.record.store import make_record, write_record
@@ -20,6 +17,8 @@ from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import scene_digest
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
+
+ASKED = "--downscale 2 --background '#102030' --holdout 3"  # what `trained_on_a_scene` was
 
 
 @pytest.fixture()
@@ -34,11 +33,9 @@ def soup_file(tmp_path):
     return path
 
 
-def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
+def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, command):
     out = tmp_path / "dump.json"
-    words = f"evaluate {soup_file} --target sphere --samples 3000 --json {out} --quiet"
-    assert main(words.split()) == 0
-    printed = capsys.readouterr().out
+    printed = command(f"evaluate {soup_file} --target sphere --samples 3000 --json {out} --quiet").out
     result = json.loads(out.read_text())
     assert result["dimension"] == 2 and result["counts"] == result["target_counts"] == [0, 0, 1]
     # The void dies at the radius: .05 / (2 sqrt 3) lost.
@@ -48,36 +45,31 @@ def test_evaluate_prints_a_table_and_writes_json(soup_file, tmp_path, capsys):
     assert ["components", "1", "1"] in [row[:1] + row[2:] for row in rows], "not 0, the number of finite bars"
 
 
-def test_evaluate_of_a_mesh_file(tmp_path, capsys):
+def test_evaluate_of_a_mesh_file(tmp_path, command):
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
-    words = f"evaluate {tmp_path}/ball.ply --target {tmp_path}/ball.ply --samples 2000"
-    assert main(words.split()) == 0
-    assert capsys.readouterr().out.endswith(f"next: python -m paper_artifact certify {tmp_path}/ball.ply\n")
+    said = command(f"evaluate {tmp_path}/ball.ply --target {tmp_path}/ball.ply --samples 2000").out
+    assert said.endswith(f"next: python -m paper_artifact certify {tmp_path}/ball.ply\n")
 
 
 @pytest.mark.parametrize(
-    "arguments, code, reason",
+    "words, code, reason",
     [
-        (["{soup}", "--target", "klein"], 1, "unknown shape"),
-        (["{soup}", "--target", "sphere", "--samples", "2"], 2, "at least 4"),
-        (["{soup}"], 2, "give --target SHAPE|MESH, or --scene DIR"),
-        (["{soup}", "--target", "sphere", "--holdout", "3"], 2, "--holdout belong to --scene DIR"),
+        ("--target klein", 1, "unknown shape"),
+        ("--target sphere --samples 2", 2, "at least 4"),
+        ("", 2, "give --target SHAPE|MESH, or --scene DIR"),
+        ("--target sphere --holdout 3", 2, "--holdout belong to --scene DIR"),
     ],
 )
-def test_evaluate_names_bad_input(soup_file, arguments, code, reason, capsys):
-    assert main(["evaluate", *[argument.format(soup=soup_file) for argument in arguments]]) == code
-    assert reason in capsys.readouterr().err
+def test_evaluate_names_bad_input(soup_file, words, code, reason, command):
+    assert reason in command(f"evaluate {soup_file} {words}", code=code).err
 
 
-def test_export_writes_every_format(soup_file, tmp_path, capsys):
-    out = tmp_path / "exports"
-    words = f"export {soup_file} --out {out} --views 2 --size 48 --target sphere"
-    assert main(words.split()) == 0
+def test_export_writes_every_format(soup_file, tmp_path, command):
+    out, kinds = tmp_path / "exports", ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
+    said = command(f"export {soup_file} --out {out} --views 2 --size 48 --target sphere").out
     names = sorted(path.name for path in out.glob("[!.]*"))
-    assert names == [
-        f"sphere-C0-s0.{kind}" for kind in ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
-    ]
-    *paths, following = capsys.readouterr().out.splitlines()
+    assert names == [f"sphere-C0-s0.{kind}" for kind in kinds]
+    *paths, following = said.splitlines()
     assert sorted(path.rsplit("/", 1)[-1] for path in paths) == names
     assert following == next_command("solidify", soup_file, "--target", "sphere", "--out", "mesh.ply")
     with Image.open(out / "sphere-C0-s0.view0.png") as image:
@@ -102,26 +94,23 @@ def trained_on_a_scene(soup_file, tmp_path):
     return scene, soup_file.rename(tmp_path / "soups" / f"{path.stem}.npz"), path
 
 
-def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path, capsys):
+def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path, command):
     scene, soup, record = trained_on_a_scene
 
-    def scores(*words):
+    def scores(words=""):
         out = tmp_path / "scores.json"
-        words = ["evaluate", str(soup), "--scene", str(scene), "--samples", "300", "--json", str(out), *words]
-        assert main(words) == 0
+        told = command(f"evaluate {soup} --scene {scene} --samples 300 --json {out} {words}").err
         images = json.loads(out.read_text())["images"]
-        return images["psnr"], images["views"], capsys.readouterr().err
+        return images["psnr"], images["views"], told
 
-    asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
-    by_hand = scores(*asked)
-    found = scores()
+    by_hand, found = scores(ASKED), scores()
     assert found[:2] == by_hand[:2] and by_hand[2] == ""
     told = f"--downscale 2 --background #102030 --holdout 3, as the run was trained ({record}); give others"
     assert found[2].startswith(told) and found[2].count("\n") == 1
-    part = scores("--holdout", "5", "--downscale", "1")
+    part = scores("--holdout 5 --downscale 1")
     assert part[2].startswith("--background #102030, as the run")
-    assert part[:2] == scores("--holdout", "5", "--downscale", "1", "--background", "#102030")[:2]
-    assert len({found[0], part[0], scores("--background", "white")[0]}) == 3
+    assert part[:2] == scores("--holdout 5 --downscale 1 --background '#102030'")[:2]
+    assert len({found[0], part[0], scores("--background white")[0]}) == 3
     # A record of another scene says nothing of this one.
     Image.linear_gradient("L").resize((48, 48)).save(next((scene / "images").iterdir()))
     (scene / "scene.json").unlink()
@@ -131,18 +120,18 @@ def test_a_soup_is_evaluated_as_its_run_was_trained(trained_on_a_scene, tmp_path
     assert scores() == (other[0], other[1], "")
 
 
-def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, capsys):
+def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, command):
     (tmp_path / f"{soup_file.stem}.ply").write_text("precious")
-    words = f"export {soup_file} --formats ply --out {tmp_path}"
-    assert main(words.split()) == 1
-    assert "was not written by this command" in capsys.readouterr().err
+    said = command(f"export {soup_file} --formats ply --out {tmp_path}", code=1).err
+    assert "was not written by this command" in said
     assert (tmp_path / f"{soup_file.stem}.ply").read_text() == "precious"
-    words = f"export {soup_file} --formats ply --out {tmp_path}/new"
-    assert main(words.split()) == main(words.split()) == 0
-    (tmp_path / "other").mkdir()
-    shutil.copy(soup_file, tmp_path / "other")
-    assert main(f"export {tmp_path}/other/{soup_file.name} --formats ply --out {tmp_path}/new".split()) == 1
-    assert "was not written by this command" in capsys.readouterr().err  # but from another soup of this name
+    for _ in range(2):
+        command(f"export {soup_file} --formats ply --out {tmp_path}/new")
+    other = tmp_path / "other" / soup_file.name
+    other.parent.mkdir()
+    shutil.copy(soup_file, other)
+    said = command(f"export {other} --formats ply --out {tmp_path}/new", code=1).err
+    assert "was not written by this command" in said  # but from another soup of this name
 
 
 @pytest.mark.parametrize(
@@ -156,23 +145,21 @@ def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, c
         {"offset": [0.0, 0.0, 0.0], "exponent": 5000},
     ],
 )
-def test_a_soup_with_a_damaged_frame_is_refused(frame, soup_file, tmp_path, capsys):
+def test_a_soup_with_a_damaged_frame_is_refused(frame, soup_file, tmp_path, command):
     with np.load(soup_file) as data:
         np.savez(soup_file, **data, **frame)
-    assert main(f"export {soup_file} --formats ply --out {tmp_path}/out".split()) == 1
-    assert "the frame (offset, exponent) of the soup" in capsys.readouterr().err
+    said = command(f"export {soup_file} --formats ply --out {tmp_path}/out", code=1).err
+    assert "the frame (offset, exponent) of the soup" in said
 
 
-def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path, capsys):
+def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path, command):
     scene, soup, _ = trained_on_a_scene
-    words = ["export", str(soup), "--scene", str(scene), "--formats", "png", "--out"]
-    assert main([*words, str(tmp_path / "a")]) == 0
-    told = capsys.readouterr()
+    line = f"export {soup} --scene {scene} --formats png --out {tmp_path}"
+    told = command(f"{line}/a")
     *paths, following = told.out.splitlines()
     assert "as the run was trained" in told.err and all(Path(path).is_file() for path in paths)
     assert following == next_command("solidify", soup, "--scene", scene, "--out", "mesh.ply")
-    asked = "--downscale", "2", "--background", "#102030", "--holdout", "3"
-    assert main([*words, str(tmp_path / "b"), *asked]) == 0
+    command(f"{line}/b {ASKED}")
     files = [sorted((tmp_path / each).glob("[!.]*")) for each in "ab"]
     assert len(files[0]) == 5  # four held-out views, and all on one sheet
     assert [each.read_bytes() for each in files[0]] == [each.read_bytes() for each in files[1]]

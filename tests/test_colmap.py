@@ -1,7 +1,5 @@
 """COLMAP models: text ↔ binary round trips, files as COLMAP writes them, damaged files."""
 
-from __future__ import annotations
-
 import math
 import struct
 
@@ -14,51 +12,25 @@ from paper_artifact.errors import InputError
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, read_model, write_model
 from tests.colmap_text import write_text_model
 
-finite = st.floats(-1e6, 1e6)
-positive = st.floats(1e-3, 1e6)
-pixels = st.integers(1, 10**6)
-pinholes = st.builds(
-    lambda w, h, fx, fy, cx, cy: Intrinsics("PINHOLE", w, h, (fx, fy, cx, cy)),
-    pixels,
-    pixels,
-    positive,
-    positive,
-    finite,
-    finite,
-)
-simple = st.builds(
-    lambda w, h, f, cx, cy: Intrinsics("SIMPLE_PINHOLE", w, h, (f, cx, cy)),
-    pixels,
-    pixels,
-    positive,
-    finite,
-    finite,
-)
-names = st.text(
-    st.characters(categories=("L", "N"), include_characters="_-./ "), min_size=1, max_size=20
-).filter(lambda name: name == name.strip())
+finite, positive, pixels = st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(1, 10**6)
+numbers = st.tuples(positive, positive, finite, finite)
+pinholes = st.builds(Intrinsics, st.just("PINHOLE"), pixels, pixels, numbers)
+simple = st.builds(Intrinsics, st.just("SIMPLE_PINHOLE"), pixels, pixels, st.tuples(positive, finite, finite))
+letters = st.characters(categories=("L", "N"), include_characters="_-./ ")
+names = st.text(letters, min_size=1, max_size=20).filter(lambda name: name == name.strip())
 quaternions = st.tuples(finite, finite, finite, finite).filter(lambda q: math.hypot(*q) > 1e-3)
+points = st.tuples(finite, finite, finite, positive, *[st.integers(0, 255)] * 3)
 
 
 @st.composite
 def models(draw) -> Model:
     cameras = draw(st.dictionaries(st.integers(1, 1000), pinholes | simple, min_size=1, max_size=3))
-    poses = st.builds(
-        Pose, names, st.sampled_from(sorted(cameras)), quaternions, st.tuples(finite, finite, finite)
-    )
+    known, places = st.sampled_from(sorted(cameras)), st.tuples(finite, finite, finite)
+    poses = st.builds(Pose, names, known, quaternions, places)
     images = draw(st.dictionaries(st.integers(1, 10**6), poses, max_size=4))
-    count = draw(st.integers(0, 5))
-    rows = draw(st.lists(st.tuples(finite, finite, finite, positive), min_size=count, max_size=count))
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    colours = draw(st.lists(st.integers(0, 255), min_size=3 * count, max_size=3 * count))
-    return Model(
-        cameras,
-        images,
-        np.arange(count) + draw(st.integers(1, 10**9)),
-        table[:, :3],
-        np.array(colours, dtype=np.uint8).reshape(-1, 3),
-        table[:, 3],
-    )
+    table = np.array(draw(st.lists(points, max_size=5)), dtype=np.float64).reshape(-1, 7)
+    ids = np.arange(len(table)) + draw(st.integers(1, 10**9))
+    return Model(cameras, images, ids, table[:, :3], table[:, 4:].astype(np.uint8), table[:, 3])
 
 
 def assert_equal(first: Model, second: Model) -> None:
@@ -107,11 +79,9 @@ def test_text_as_colmap_writes_it(tmp_path):
 
 def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 640, 480, 500, 501, 320, 240))
-    (tmp_path / "images.bin").write_bytes(
-        struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1)
-        + b"a.png\0"
-        + struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1)
-    )
+    pose = struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1)
+    seen = struct.pack("<Qddqddq", 2, 1, 2, 9, 3, 4, -1)
+    (tmp_path / "images.bin").write_bytes(pose + b"a.png\0" + seen)
     (tmp_path / "points3D.bin").write_bytes(struct.pack("<QQ3d3BdQii", 1, 9, 1, 2, 3, 4, 5, 6, 0.5, 1, 5, 0))
     model = read_model(tmp_path)
     assert model.images == {5: Pose("a.png", 1, (1, 0, 0, 0), (1, 2, 3))}
@@ -130,6 +100,7 @@ def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
         ({"images_txt": "1 1 0 0 0 0 0\n\n"}, "damaged"),
         ({"images_txt": "1 0 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
         ({"images_txt": "1 nan 0 0 0 0 0 0 1 a.png\n\n"}, "no valid pose"),
+        ({"images_txt": "1 1 0 0 0 0 0 0 1 a.png\n\n" * 2}, "the id 1 is there twice"),
         ({"points3D_txt": "1 0 0\n"}, "fewer than 8 values"),
         ({"points3D_txt": "1 0 nan 0 1 1 1 0\n"}, "NaN"),
         ({"points3D_txt": "1 0 0 0 1 1 256 0\n"}, "colour outside"),
@@ -199,13 +170,9 @@ def test_missing_files_are_named(tmp_path):
 
 
 def test_a_model_is_parsed_once_and_every_reader_has_a_copy(tmp_path, monkeypatch):
-    pose = Pose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    camera = Intrinsics("PINHOLE", 8, 8, (5.0, 5.0, 4.0, 4.0))
-    places = np.arange(9.0).reshape(3, 3)
-    model = Model({1: camera}, {1: pose}, np.arange(3), places, np.zeros((3, 3), np.uint8), np.zeros(3))
-    write_model(model, tmp_path)
-    first = read_model(tmp_path)
-    first.positions[:], first.images[2] = np.nan, pose
+    first = read_model(write_text(tmp_path))
+    places = first.positions.copy()
+    first.positions[:], first.images[2] = np.nan, first.images[3]
     monkeypatch.setattr("paper_artifact.scene.colmap._points", None)  # parsing again would fail
     second = read_model(tmp_path)
-    assert (second.positions == places).all() and list(second.images) == [1]
+    assert (second.positions == places).all() and sorted(second.images) == [3, 7]

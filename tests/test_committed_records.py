@@ -1,8 +1,7 @@
 """What results/runs holds is whole, belongs to the study as it is configured now, and its tails follow from
 its dumps."""
 
-from __future__ import annotations
-
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -39,22 +38,20 @@ def test_record(path: Path, study_runs):
     asked = record["config"]
     hurt = asked.get("image_noise") or asked.get("camera_noise") or asked["background"] == "texture"
     share = 0.9 if hurt else 0.15 if asked.get("allocation") else 0.1  # strong levers leave .12 of it
-    assert (
-        record["losses"]["step"][-1] == 2500
-        and np.mean(record["losses"]["loss"][-10:]) < share * record["losses"]["loss"][0]
-    )
+    steps, losses = record["losses"]["step"], record["losses"]["loss"]
+    assert steps[-1] == 2500 and np.mean(losses[-10:]) < share * losses[0]
     # The dumps after the first resampling hold the budget, but for the splits since.
     assert all(dump["triangles"] <= 1.1 * record["config"]["budget"] for dump in dumps)
-    if record["config"]["loss"] is not None:
-        refreshes = [entry for entry in record["topology"] if entry["event"] == "refresh"]
-        start = (record["config"]["loss"]["ramp"] or (0.0,))[0]
-        assert len(refreshes) >= 0.95 * 250 * (1 - start)
-        weights = [entry for entry in record["topology"] if entry["event"] == "lambda"]
-        if record["config"]["loss"]["kind"] == "betti" and not weights:  # nothing was ever there to pull at
-            reasons = [entry["reason"] for entry in record["topology"] if entry["event"] == "no-op"]
+    if (loss := asked["loss"]) is not None:
+        events = defaultdict(list)
+        for entry in record["topology"]:
+            events[entry["event"]].append(entry)
+        assert len(events["refresh"]) >= 0.95 * 250 * (1 - (loss["ramp"] or (0.0,))[0])
+        if loss["kind"] == "betti" and not events["lambda"]:  # nothing was ever there to pull at
+            reasons = [entry["reason"] for entry in events["no-op"]]
             assert reasons and all("the topology gradient is zero" in reason for reason in reasons)
             return
-        (weight,) = weights
+        (weight,) = events["lambda"]
         assert weight["topo_norm"] / weight["photo_norm"] > 50 * LEAST_RATIO
 
 

@@ -5,14 +5,10 @@ The process's own limit on the size of a file (RLIMIT_FSIZE) makes the kernel re
 does.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import resource
 import shutil
-import subprocess
-import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -20,10 +16,9 @@ import numpy as np
 import pytest
 import torch
 
-from paper_artifact import cli, files
+from paper_artifact import files
 from paper_artifact.errors import InputError
 from paper_artifact.export.flat import write_png
-from paper_artifact.files import REPOSITORY
 from paper_artifact.pipeline import run
 from paper_artifact.record.store import make_record, write_record
 from paper_artifact.scene.build import SceneConfig, build_scene
@@ -32,6 +27,7 @@ from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.state import TrainState, write_checkpoint
+from tests.sweep_runs import same_run
 from tests.tiny_run import find_records, tiny_arguments, tiny_config
 
 pytestmark = pytest.mark.faults
@@ -109,21 +105,16 @@ def test_a_file_that_is_there_survives_a_failed_write_and_other_errors_pass_unch
         raise ConnectionResetError(errno.ECONNRESET, "of a download, not of the disk")
 
 
-def test_a_run_whose_disk_was_full_goes_on_to_the_same_record(tiny_results, tmp_path, capsys):
+def test_a_run_whose_disk_was_full_goes_on_to_the_same_record(tiny_results, tmp_path, command):
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     for folder in (whole, stopped):
         shutil.copytree(tiny_results, folder)
     run(tiny_config(), results=whole, device="cpu")
-    told = []
-
-    def train_with(most: int) -> int:
-        with files_of_at_most(most):
-            code = cli.main([*tiny_arguments(), "--results", str(stopped)])
-        told.extend(capsys.readouterr().err.splitlines())
-        return code
-
+    words = [*tiny_arguments(), "--results", stopped]
     # Full before the first checkpoint, after the second one.
-    assert train_with(1000) == 1 and not list((stopped / "checkpoints").iterdir())
+    with files_of_at_most(1000):
+        (told,) = command("", *words, code=1).err.splitlines()
+    assert "raise the file size limit" in told and not list((stopped / "checkpoints").iterdir())
 
     def limit(step, text):
         if step == 25:
@@ -135,25 +126,8 @@ def test_a_run_whose_disk_was_full_goes_on_to_the_same_record(tiny_results, tmp_
     ):
         run(tiny_config(), results=stopped, device="cpu", progress=limit)
     assert len(list((stopped / "checkpoints").iterdir())) == 1
-    assert cli.main([*tiny_arguments(), "--results", str(stopped)]) == 0
-    assert len(told) == 1 and all("raise the file size limit" in line for line in told)
+    command("", *words)
     (one,), (two,) = (find_records(folder / "runs") for folder in (whole, stopped))
-    assert (one["resumed_at"], two["resumed_at"]) == (None, 20)
-    assert (one["dumps"], one["tails"], one["losses"]) == (two["dumps"], two["tails"], two["losses"])
-    (one,), (two,) = (
-        [load_soup(each) for each in (folder / "soups").iterdir()] for folder in (whole, stopped)
-    )
+    assert (one["resumed_at"], two["resumed_at"]) == (None, 20) and same_run(one, two)
+    one, two = (load_soup(next((folder / "soups").iterdir())) for folder in (whole, stopped))
     assert all(torch.equal(a, b) for a, b in zip(one.tensors(), two.tensors(), strict=True))
-
-
-def test_a_full_disk_behind_stdout_is_one_line():
-    with open("/dev/full", "w") as full:
-        ended = subprocess.run(
-            [sys.executable, "-m", "paper_artifact", "sweep", "table1", "--list"],
-            cwd=REPOSITORY,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1
-    assert "cannot write the output: No space left on device; free some space" in ended.stderr

@@ -1,11 +1,10 @@
 """Diagrams, bottleneck, point-set distances and dumps against gudhi, scipy and closed forms."""
 
-from __future__ import annotations
-
 import gudhi
 import gudhi.hera
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.distance import cdist
 
 from paper_artifact.errors import InputError
@@ -20,18 +19,14 @@ from paper_artifact.evaluate.scores import (
     tail,
     tails,
 )
-from paper_artifact.mesh import Mesh
+from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.topology.floor import measurement_floor
 
 
 def icosphere(radius: float = 1.0) -> Mesh:
-    import trimesh
-
     ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return Mesh(
-        np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int64), "ball", (1, 0, 1)
-    )
+    return checked_mesh(ball.vertices, ball.faces, "ball", (1, 0, 1))
 
 
 def test_diagram_is_in_radii_over_the_diagonal():
@@ -39,10 +34,10 @@ def test_diagram_is_in_radii_over_the_diagonal():
     diagram = diagram_of(points, diagonal=2.5)
     tree = gudhi.AlphaComplex(points=points, precision="safe").create_simplex_tree()
     tree.compute_persistence()
-    for dimension in range(3):
+    for dimension, bars in enumerate(diagram):
         oracle = np.sqrt(tree.persistence_intervals_in_dimension(dimension).clip(min=0)) / 2.5
         oracle = oracle[np.isfinite(oracle[:, 1]) & (oracle[:, 1] - oracle[:, 0] > 1e-7)]
-        bars = diagram[dimension][diagram[dimension][:, 1] - diagram[dimension][:, 0] > 1e-7]
+        bars = bars[bars[:, 1] - bars[:, 0] > 1e-7]
         np.testing.assert_allclose(bars[np.lexsort(bars.T)], oracle[np.lexsort(oracle.T)], atol=1e-9)
     with pytest.raises(InputError, match="diagonal"):
         diagram_of(points, diagonal=0)
@@ -119,16 +114,8 @@ def test_soup_samples_follow_area_times_opacity():
 
 
 def test_tail_is_the_mean_of_the_last_three_steps():
-    dumps = [
-        {
-            "step": step,
-            "bottleneck": [0, 0, step / 1000],
-            "chamfer": 0.01,
-            "hausdorff95": 0.02,
-            "counts": [0, 0, 1],
-        }
-        for step in (2500, 100, 2300, 2400)
-    ]
+    same = {"chamfer": 0.01, "hausdorff95": 0.02, "counts": [0, 0, 1]}
+    dumps = [{"step": step, "bottleneck": [0, 0, step / 1000]} | same for step in (2500, 100, 2300, 2400)]
     assert tail(dumps, 2) == pytest.approx(2.4)
     summary = tails(dumps)
     assert summary["steps"] == [2300, 2400, 2500] and summary["bottleneck"] == pytest.approx([0, 0, 2.4])

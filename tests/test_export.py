@@ -2,8 +2,6 @@
 view.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -68,6 +66,12 @@ def test_ply_reads_back(tmp_path):
     np.testing.assert_allclose(colours[..., 3], triangles.opacity, atol=0.5 / 255 + 1e-6)
 
 
+def chunks_of(glb: bytes) -> tuple[dict, bytes]:
+    """Return a GLB's JSON and its binary part."""
+    begin = 20 + int.from_bytes(glb[12:16], "little")
+    return json.loads(glb[20:begin]), glb[begin + 8 :]
+
+
 def test_glb_reads_back_the_visible_triangles(tmp_path):
     triangles = random_triangles()
     write_glb(tmp_path / "soup.glb", triangles)
@@ -76,29 +80,24 @@ def test_glb_reads_back_the_visible_triangles(tmp_path):
     scene = trimesh.load_scene(tmp_path / "soup.glb", process=False, maintain_order=True)
     (mesh,) = scene.geometry.values()
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], shown.vertices)
-    data = (tmp_path / "soup.glb").read_bytes()
-    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    tree, data = chunks_of((tmp_path / "soup.glb").read_bytes())
     assert tree["materials"][0]["doubleSided"] is True and "KHR_materials_unlit" in tree["extensionsUsed"]
     accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     view = tree["bufferViews"][accessor["bufferView"]]
-    begin = 28 + int.from_bytes(data[12:16], "little") + view["byteOffset"]
-    stored = np.frombuffer(data[begin : begin + view["byteLength"]], np.uint8).reshape(-1, 4)
-    np.testing.assert_allclose(
-        stored[:, :3] / 255, srgb_to_linear(shown.colours).reshape(-1, 3), atol=0.5 / 255 + 1e-6
-    )
+    stored = np.frombuffer(data, np.uint8, view["byteLength"], view["byteOffset"]).reshape(-1, 4)
+    expected = srgb_to_linear(shown.colours).reshape(-1, 3)
+    np.testing.assert_allclose(stored[:, :3] / 255, expected, atol=0.5 / 255 + 1e-6)
 
 
 def test_srgb_curve_end_points():
-    np.testing.assert_allclose(
-        srgb_to_linear(np.array([0.0, 0.04045, 0.5, 1.0])), [0, 0.04045 / 12.92, 0.21404114, 1], atol=1e-7
-    )
+    linear = srgb_to_linear(np.array([0.0, 0.04045, 0.5, 1.0]))
+    np.testing.assert_allclose(linear, [0, 0.04045 / 12.92, 0.21404114, 1], atol=1e-7)
 
 
 def test_baked_colour_is_the_base_without_blend_and_the_mlp_with_it():
     soup = random_soup(blend=-30.0)
-    np.testing.assert_allclose(
-        soup_triangles(soup).colours, torch.sigmoid(soup.features[..., :3]).numpy(), atol=1e-6
-    )
+    base = torch.sigmoid(soup.features[..., :3]).numpy()
+    np.testing.assert_allclose(soup_triangles(soup).colours, base, atol=1e-6)
     constant = tuple(torch.zeros_like(tensor) for tensor in soup.mlp[:5]) + (torch.tensor([-1.0, 0.0, 2.0]),)
     baked = soup_triangles(replace(random_soup(blend=30.0), mlp=constant)).colours
     expected = np.broadcast_to(1 / (1 + np.exp([1.0, 0.0, -2.0])), baked.shape)
@@ -111,14 +110,17 @@ def test_baked_colour_survives_a_triangle_without_area():
     assert np.isfinite(soup_triangles(soup).colours).all()
 
 
+def data_of(page: str) -> dict:
+    """Return what a view holds."""
+    return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.S)[1])
+
+
 def test_html_holds_the_triangles_and_asks_nothing_of_the_network():
-    triangles = random_triangles()
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), "one")
-    parts = {"</script> soup": triangles, "ground truth": mesh_triangles(mesh)}
-    text = html_page(parts, "A <b>title</b>")
+    triangles, truth = random_triangles(), mesh_triangles(Mesh(np.eye(3), np.array([[0, 1, 2]]), "one"))
+    text = html_page({"</script> soup": triangles, "ground truth": truth}, "A <b>title</b>")
     assert not re.search(r"https?://|src=|@import|@DATA@|@TITLE@|@BACK@|<a ", text)
     assert "A &lt;b&gt;title" in text and text.count("</script>") == 2
-    data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.S).group(1))
+    data = data_of(text)
     assert [part["name"] for part in data["parts"]] == ["</script> soup", "ground truth"]
     shown = triangles.visible()
     stored = np.frombuffer(base64.b64decode(data["parts"][0]["positions"]), "<f4").reshape(-1, 3, 3)
@@ -139,8 +141,6 @@ def test_empty_or_diverged_triangles_are_refused(tmp_path):
         html_page({"soup": replace(triangles, vertices=triangles.vertices * np.nan)}, "t")
     with pytest.raises(InputError, match="at least one"):
         html_page({}, "t")
-    with pytest.raises(InputError, match="cannot write"):
-        write_ply("/proc/no/soup.ply", triangles)
 
 
 def test_png_round_trip_and_sheet(tmp_path):
@@ -159,17 +159,13 @@ def test_png_round_trip_and_sheet(tmp_path):
         sheet([[image, image[1:]]])
 
 
-def clip_matrices(cameras):
-    return np.stack([world_to_clip(camera, 0.01, 100) for camera in cameras]).astype(np.float32)
-
-
 def made_scene(cameras, points) -> Scene:
     count = len(cameras)
     return Scene(
         path=Path(),
         names=tuple(map(str, range(count))),
         images=np.zeros((count, 3, 4, 4), dtype=np.uint8),
-        world_to_clip=clip_matrices(cameras),
+        world_to_clip=np.stack([world_to_clip(each, 0.01, 100) for each in cameras]).astype(np.float32),
         camera_centres=np.stack([camera.position for camera in cameras]).astype(np.float32),
         background=np.ones(3, dtype=np.float32),
         points=np.asarray(points, dtype=np.float32),
@@ -182,13 +178,8 @@ def test_a_scene_is_seen_from_its_first_training_camera_upright():
     # Turned so that "down" is world +y, as COLMAP's scenes are: the cameras' own axes say what is up.
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # z up → y down
     cameras = [look_at(np.array(place), np.zeros(3), 40) for place in ((3, 0, 1), (0, 4, 1.0), (-3, 1, 1))]
-    turned = [
-        replace(
-            camera,
-            quaternion=tuple(Rotation.from_matrix(camera.rotation @ turn.T).as_quat(scalar_first=True)),
-        )
-        for camera in cameras
-    ]
+    rotations = Rotation.from_matrix([each.rotation @ turn.T for each in cameras]).as_quat(scalar_first=True)
+    turned = [replace(each, quaternion=tuple(q)) for each, q in zip(cameras, rotations, strict=True)]
     cloud = stream(3, "test export").normal(size=(200, 3)) * 0.1
     for views, up, first in ((cameras, [0, 0, 1], [0, 4, 1]), (turned, [0, -1, 0], [0, -1, 4])):
         seen = scene_viewpoint(made_scene(views, cloud))
@@ -205,15 +196,9 @@ def test_a_cloud_behind_the_camera_and_one_camera_looking_down_give_a_viewpoint_
 
 
 def test_the_view_opens_where_it_is_told():
-    triangles = random_triangles()
-    points = triangles.vertices.reshape(-1, 3)
-    row = shape_row("spot")
-
-    def data(viewpoint):
-        page = html_page({"soup": triangles}, "t", viewpoint)
-        return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.S).group(1))
-
-    plain, shape = data(None), data(framing(points, row.view, row.up))
+    triangles, row = random_triangles(), shape_row("spot")
+    given = framing(triangles.vertices.reshape(-1, 3), row.view, row.up)
+    plain, shape = (data_of(html_page({"soup": triangles}, "t", each)) for each in (None, given))
     assert plain["up"] == [0, 0, 1] and shape["up"] == list(row.up)
     away = np.subtract(shape["eye"], shape["target"])
     np.testing.assert_allclose(away / np.linalg.norm(away), row.view / np.linalg.norm(row.view), atol=1e-6)
@@ -226,11 +211,9 @@ def test_a_title_is_no_template_and_huge_soups_are_written(tmp_path):
     for title in ("@DATA@ {{ data }} </title>", "</script><script>alert(1)</script>"):
         page = html_page({"soup": triangles}, title)
         assert page.count("<script") == 2 and abs(len(page) - len(plain)) < 300
-    huge = replace(
-        triangles, vertices=triangles.vertices * np.float32(1e37), opacity=triangles.opacity * 0 + 1
-    )
-    data = re.search(r'type="application/json">(.*?)</script>', html_page({"soup": huge}, "x"))[1]
-    assert 1e36 < json.loads(data)["radius"] < 1e39
+    vertices, opaque = triangles.vertices * np.float32(1e37), np.ones_like(triangles.opacity)
+    huge = replace(triangles, vertices=vertices, opacity=opaque)
+    assert 1e36 < data_of(html_page({"soup": huge}, "x"))["radius"] < 1e39
     write_ply(tmp_path / "a.ply", huge)
     write_glb(tmp_path / "a.glb", huge)
     for name in ("a.ply", "a.glb"):
@@ -238,10 +221,8 @@ def test_a_title_is_no_template_and_huge_soups_are_written(tmp_path):
         np.testing.assert_allclose(read.triangles.max(), huge.vertices.max(), rtol=1e-6)
 
 
-UPWARDS = [("my.obj", 1), ("A.GLB", 1), ("scan.ply", 2), ("torus", 2), (None, 2), ("spot", 1)]
-
-
-@pytest.mark.parametrize("file, up", [*UPWARDS, ("my.obj-C0-s0-a16fef.npz", 1)])
-def test_what_is_upwards(file, up):
+@pytest.mark.parametrize("file", ["a.obj", "A.GLB", "spot", "a.obj-C0-s0-a16fef.npz", "a.ply", "torus", None])
+def test_what_is_upwards(file):
+    up = 2 if file in ("a.ply", "torus", None) else 1
     view = framing(np.array([[-1.0, -1, -1], [1, 1, 1]]), up=up_of(file))
     assert view.up[up] == 1 and view.eye[up] > 0.5 and view.target == (0, 0, 0)

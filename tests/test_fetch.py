@@ -1,7 +1,5 @@
 """Fetching, against a local server and local mirrors: a failure leaves nothing behind and says what to do."""
 
-from __future__ import annotations
-
 import hashlib
 import socket
 import threading
@@ -13,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from paper_artifact.cli import main, scenes  # noqa: F401, its names are patched
+from paper_artifact.cli import scenes  # noqa: F401, its names are patched
 from paper_artifact.errors import InputError
 from paper_artifact.scene import fetch as fetching
 from paper_artifact.scene.fetch import ROLES, photo_sets, sources
@@ -206,16 +204,15 @@ def test_a_mirror_that_is_no_folder_and_a_place_that_cannot_be_written(tmp_path,
         get("tri", out, mirror_with(tmp_path / "mirror", {"data/a b.obj": BODY}))
 
 
-def test_a_set_is_fetched_whole_or_says_what_is_missing(tmp_path, out, monkeypatch, capsys):
+def test_a_set_is_fetched_whole_or_says_what_is_missing(tmp_path, out, monkeypatch, command):
     mirror = mirror_with(tmp_path / "mirror", VIEWS | {"views/b.png": b"sec0nd"})
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(mirror))
-    words = ["fetch", "two", "--out", str(out), "--quiet"]
-    assert main(words) == 1 and "is not the pinned file of 'two/b.png'" in capsys.readouterr().err
+    line = f"fetch two --out {out} --quiet"
+    assert "is not the pinned file of 'two/b.png'" in command(line, code=1).err
     (mirror / "some+where/views/b.png").write_bytes(VIEWS["views/b.png"])
-    assert main(words) == 0 and f"{out / 'some+where' / 'views'}  ({mirror})" in capsys.readouterr().out
+    assert f"{out / 'some+where' / 'views'}  ({mirror})" in command(line).out
     assert {f"views/{path.name}": path.read_bytes() for path in files_below(out)} == VIEWS
-    assert main(words) == 0 and "already there" in capsys.readouterr().out
-    assert main(["fetch", "--list"]) == 0 and "  free\n" in capsys.readouterr().out
+    assert "already there" in command(line).out and "  free\n" in command("fetch --list").out
 
 
 def test_the_tables_are_complete_and_pinned(monkeypatch):
@@ -252,16 +249,15 @@ def test_a_damaged_table(tmp_path, read, text, words):
     assert photo_sets(tmp_path / "none.csv") == {}
 
 
-def test_the_command_line(tmp_path, out, capsys, monkeypatch):
+def test_the_command_line(tmp_path, out, command, monkeypatch):
     monkeypatch.undo()  # the real table from here on
     monkeypatch.setenv(fetching.MIRROR_VARIABLE, str(tmp_path))
-    assert main(["fetch", "spott"]) == 2
-    assert "no mesh is called 'spott'; known are spot" in capsys.readouterr().err
-    assert main(["fetch", "spot", "cow", "--out", str(out), "--quiet"]) == 1
-    error = capsys.readouterr().err
-    assert "spot: the mirror" in error and "2 of 2 meshes could not be fetched" in error
-    assert main(["fetch", "--list"]) == 0
-    listed = capsys.readouterr().out
+    printed, error = command(f"fetch spot cow --out {out} --quiet", code=1)
+    first, _, last = error.splitlines()  # a line for each, and the sum
+    assert first.startswith("spot: the mirror ") and "has no readable" in first and "add the file" in first
+    assert last == "paper_artifact: 2 of 2 meshes could not be fetched"
+    assert printed == "" and not out.exists()
+    listed = command("fetch --list").out
     assert all(key in listed for key in fetching.sources()) and "  CC0-1.0" in listed
 
 

@@ -1,8 +1,6 @@
 """The style of the figures: colours that differ in every kind of colour vision, letters that can be read in
 print."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -18,21 +16,15 @@ from paper_artifact.plot import DIMENSIONS, SERIES, TEXT, new_figure
 VISION = {
     "usual": np.eye(3),
     "protanopia": [
-        [0.152286, 1.052583, -0.204868],
-        [0.114503, 0.786281, 0.099216],
-        [-0.003882, -0.048116, 1.051998],
+        [0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998],
     ],
     "deuteranopia": [
-        [0.367322, 0.860646, -0.227968],
-        [0.280085, 0.672501, 0.047413],
-        [-0.011820, 0.042940, 0.968881],
+        [0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881],
     ],
     "tritanopia": [
-        [1.255528, -0.076749, -0.178779],
-        [-0.078411, 0.930809, 0.147602],
-        [0.004733, 0.691367, 0.303900],
+        [1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900],
     ],
-}
+}  # fmt: skip
 APART = 12.0  # CIEDE2000; 2 is just noticeable side by side
 ARMS = [each.name for each in CONDITIONS]
 STUDIES = {  # arms that stand in one figure

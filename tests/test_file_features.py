@@ -1,7 +1,5 @@
 """Every feature of mesh files is read right or refused by a true sentence, and docs/files.md says which."""
 
-from __future__ import annotations
-
 import pytest
 
 from paper_artifact.files import REPOSITORY

@@ -1,13 +1,10 @@
 """Files: nothing of the user's is removed, killed work is cleared, live work is not, the umask holds."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
 import tempfile
 import time
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import Pipe, get_context
@@ -15,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, check_writable, renewed_folder, write_text
 from paper_artifact.notebooks import figures_of
@@ -27,6 +23,7 @@ from tests.tiny_run import find_records
 
 pytestmark = pytest.mark.faults
 
+THEIRS = "is there and was not written by this command"
 TINY = SceneConfig(views=2, size=8, supersample=1, points=4)
 WAYS = {
     "file": atomic_path,
@@ -85,15 +82,20 @@ def test_a_folder_is_cleared_only_of_what_was_written_there(tmp_path):
     assert files_in(tmp_path / "own") >= {"d", "e"} and not (tmp_path / "own" / "tables/c").exists()
 
 
+def refuses(words: str, *arguments, **options) -> None:
+    """Check that `renew` refuses what it is given."""
+    with pytest.raises(InputError, match=words):
+        renew(*arguments, **options)
+
+
 def test_a_folder_of_others_is_refused_and_stays(tmp_path):
-    write_text(tmp_path / "home" / "notes" / "thesis.txt", "precious")
-    renew(tmp_path / "home", "audit.html", part="audit", known=True)
-    with pytest.raises(InputError, match="thesis.txt is there and was not written by this command; choose a"):
-        renew(tmp_path / "home", "index.html")
-    with pytest.raises(InputError, match="audit.html is there and was not written by this command"):
-        renew(tmp_path / "home", "audit.html", part="other", known=True)
-    renew(tmp_path / "home", "audit.html", part="audit", known=True)
-    assert files_in(tmp_path / "home") == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
+    home = tmp_path / "home"
+    write_text(home / "notes" / "thesis.txt", "precious")
+    renew(home, "audit.html", part="audit", known=True)
+    refuses("thesis.txt is there and was not written by this command; choose a", home, "index.html")
+    refuses(f"audit.html {THEIRS}", home, "audit.html", part="other", known=True)
+    renew(home, "audit.html", part="audit", known=True)
+    assert files_in(home) == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -101,17 +103,13 @@ def test_a_file_that_the_user_edited_stays(tmp_path, known):
     renew(tmp_path, "a.ply", "b.ply", known=known)
     write_text(tmp_path / "b.ply", "my edit")
     for names in (("a.ply", "b.ply"), ("a.ply",)):  # one that would be replaced, one that would be removed
-        with pytest.raises(
-            InputError, match="b.ply was changed since this command wrote it; move it elsewhere"
-        ):
-            renew(tmp_path, *names, known=known)
+        refuses("b.ply was changed since this command wrote it; move it", tmp_path, *names, known=known)
     assert (tmp_path / "b.ply").read_text() == "my edit"
     (tmp_path / "b.ply").unlink()
     renew(tmp_path, "a.ply", known=known)
     listed = json.loads((tmp_path / MANIFEST).read_text())
-    write_text(
-        tmp_path / MANIFEST, json.dumps({part: [*names] for part, names in listed.items()})
-    )  # of 0.2.0
+    of_version_0_2 = {part: [*names] for part, names in listed.items()}
+    write_text(tmp_path / MANIFEST, json.dumps(of_version_0_2))
     renew(tmp_path, "c.ply", known=known)
     assert files_in(tmp_path) == {"c.ply"}
 
@@ -129,11 +127,8 @@ def test_writers_into_one_folder_at_once_are_all_listed(tmp_path):
 
 def test_a_file_that_comes_while_a_command_works_is_not_replaced(tmp_path):
     for names in (["mine"], None):
-        with (
-            pytest.raises(InputError, match="mine is there and was not written by this command"),
-            renewed_folder(tmp_path, "book", names) as new,
-        ):
-            write_text(new / "mine", "of book")
+        with pytest.raises(InputError, match=f"mine {THEIRS}"), renewed_folder(tmp_path, "x", names) as new:
+            write_text(new / "mine", "of x")
             write_text(tmp_path / "mine", "precious")
         assert (tmp_path / "mine").read_text() == "precious"
         (tmp_path / "mine").unlink()
@@ -152,8 +147,7 @@ def test_a_name_that_a_failed_command_claimed_is_still_the_users(tmp_path, monke
     for name, theirs in (("a", "a"), ("b", "")):  # what the first call wrote, or nothing
         assert (tmp_path / name).exists() == bool(theirs)
         write_text(tmp_path / name, "precious")
-        with pytest.raises(InputError, match="was changed since this command wrote it"):
-            renew(tmp_path, "a", "b")
+        refuses("was changed since this command wrote it", tmp_path, "a", "b")
         assert (tmp_path / name).read_text() == "precious"
         (tmp_path / name).unlink()
     renew(tmp_path, "a", "b")
@@ -163,8 +157,7 @@ def test_a_name_that_a_failed_command_claimed_is_still_the_users(tmp_path, monke
 def test_a_users_file_of_a_new_name_in_an_old_book_stays(tmp_path):
     renew(tmp_path, "a")
     write_text(tmp_path / "b", "precious")
-    with pytest.raises(InputError, match="b is there and was not written by this command"):
-        renew(tmp_path, "a", "b")
+    refuses(f"b {THEIRS}", tmp_path, "a", "b")
     assert (tmp_path / "b").read_text() == "precious"
     renew(tmp_path, "a", "c")
     assert files_in(tmp_path) == {"a", "b", "c"}
@@ -182,13 +175,14 @@ def test_a_manifest_that_lies_removes_nothing_outside(tmp_path, listed):
 
 
 @pytest.mark.parametrize("place", [".", "results", "foreign"])
-def test_book_refuses_what_is_no_book(tmp_path, monkeypatch, capsys, place):
-    for name in ("notebooks/a.ipynb", "results/soups/b.npz", "foreign/tables/c.csv"):
+def test_book_refuses_what_is_no_book(tmp_path, monkeypatch, command, place):
+    theirs = {"notebooks/a.ipynb", "results/soups/b.npz", "foreign/tables/c.csv"}
+    for name in theirs:
         write_text(tmp_path / name, "precious")
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["book", "--out", place, "--quiet"]) == 1
-    assert "was not written by this command; choose a new or an empty folder" in capsys.readouterr().err
-    assert files_in(tmp_path) == {"notebooks/a.ipynb", "results/soups/b.npz", "foreign/tables/c.csv"}
+    said = command(f"book --out {place} --quiet", code=1).err
+    assert "was not written by this command; choose a new or an empty folder" in said
+    assert files_in(tmp_path) == theirs
 
 
 def test_figures_of_a_notebook_replace_its_own_and_no_others(tmp_path):
@@ -202,10 +196,9 @@ def test_figures_of_a_notebook_replace_its_own_and_no_others(tmp_path):
     renew(tmp_path / "book", "index.html", "figures/07_x.png")
     draw("06", "a")
     draw("07", "x")
-    assert files_in(tmp_path / "book") - {f"figures/{MANIFEST}"} == {
-        "index.html",
-        *(f"figures/{name}" for name in ("06_a.svg", "06_c_a.svg", "07_x.png", "07_x.svg")),
-    }
+    figures = {path.name for path in (tmp_path / "book" / "figures").iterdir()} - {MANIFEST}
+    assert figures == {"06_a.svg", "06_c_a.svg", "07_x.png", "07_x.svg"}
+    assert (tmp_path / "book" / "index.html").is_file()
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -224,24 +217,26 @@ def test_what_a_kill_left_goes_with_the_next_write_and_live_work_stays(tmp_path,
 
 def test_files_and_folders_have_the_rights_that_the_user_wants(tmp_path):
     for mask in (0o077, 0o002, 0o027):
-        before = os.umask(mask)
+        text, before = tmp_path / f"{mask}.txt", os.umask(mask)
         try:
-            write_text(tmp_path / f"{mask}.txt", "a")
+            write_text(text, "a")
             scene = build_scene(make_shape("cube"), TINY, tmp_path / f"{mask}")
         finally:
             os.umask(before)
-        rights = Counter(path.stat().st_mode & 0o777 for path in (scene, *scene.rglob("*")) if path.is_dir())
-        assert set(rights) == {0o777 & ~mask}
-        assert {path.stat().st_mode & 0o777 for path in tmp_path.rglob("*.png") if scene in path.parents} | {
-            path.stat().st_mode & 0o777 for path in (tmp_path / f"{mask}.txt", scene / "scene.json")
-        } == {0o666 & ~mask}
+        written = [text, scene, *scene.rglob("*")]
+        assert {rights(path) for path in written if path.is_dir()} == {0o777 & ~mask}
+        assert {rights(path) for path in written if path.is_file()} == {0o666 & ~mask}
+
+
+def rights(path: Path) -> int:
+    return path.stat().st_mode & 0o777
 
 
 def test_a_file_that_is_replaced_keeps_its_rights(tmp_path):
     write_text(tmp_path / "a", "private")
     (tmp_path / "a").chmod(0o600)
     write_text(tmp_path / "a", "again")
-    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o600
+    assert rights(tmp_path / "a") == 0o600
 
 
 def test_a_folder_of_the_users_that_looks_temporary_stays(tmp_path):
@@ -305,10 +300,9 @@ def built_by_four(folder: Path, scenes: int) -> set[str]:
     """Let four processes at once build each of the scenes; return what went wrong, {""} for nothing."""
     context = get_context("forkserver")
     context.set_forkserver_preload(["tests.test_files"])
+    places = [str(folder / f"my-{index}") for index in range(scenes) for _ in range(4)]
     with ProcessPoolExecutor(4, mp_context=context) as pool:
-        return set(
-            pool.map(build, [str(folder / f"my-{index}") for index in range(scenes) for _ in range(4)])
-        )
+        return set(pool.map(build, places))
 
 
 def test_four_processes_build_one_scene(tmp_path):

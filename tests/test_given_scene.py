@@ -1,8 +1,6 @@
 """One's own scene folder: what is read of it, and trained, evaluated, exported and swept without a ground
 truth."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil
@@ -14,13 +12,12 @@ import pytest
 import trimesh
 from PIL import Image
 
-from paper_artifact import cli
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import GivenConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import OWN, RESULTS
 from paper_artifact.pipeline import OwnScene, results_of, run
-from paper_artifact.record.store import recorded_path
+from paper_artifact.record.store import read_record, recorded_path
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
 from paper_artifact.scene.given import resolve
@@ -30,14 +27,8 @@ from paper_artifact.study.studies import STUDIES, Block
 from paper_artifact.topology.bundle import build_from_mesh
 from tests.tiny_run import find_records
 
-SMALL = [
-    "--steps=24",
-    "--set=budget=150",
-    "--set=samples=400",
-    "--set=resample_every=8",
-    "--set=dump_steps=24",
-]
-QUIET = ["--quiet", "--device=cpu"]
+CPU = "--quiet --device=cpu"
+SMALL = f"{CPU} --steps=24 --set=budget=150 --set=samples=400 --set=resample_every=8 --set=dump_steps=24"
 
 
 @pytest.fixture(scope="module")
@@ -57,21 +48,25 @@ def own(photographs, tmp_path):
     return Path(shutil.copytree(photographs, tmp_path / "castle" / "dense"))
 
 
-def train(folder, results, *more):
-    """Return the record of a small run from the command line."""
-    before = set((results / "runs").glob("*.json"))
-    assert cli.main(["train", "--scene", str(folder), *QUIET, *SMALL, f"--results={results}", *more]) == 0
-    (path,) = set((results / "runs").glob("*.json")) - before
-    return next(record for record in find_records(results / "runs") if record["digest"] in path.read_text())
+@pytest.fixture
+def train(command):
+    """train(folder, results, more): return the record of a small run from the command line, and its words."""
+
+    def run(folder, results, more=""):
+        before = set((results / "runs").glob("*.json"))
+        said = command(f"train --scene {folder} {SMALL} --results={results} {more}")
+        (path,) = set((results / "runs").glob("*.json")) - before
+        return read_record(path), said
+
+    return run
 
 
 def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_truth(
-    photographs, tmp_path, capsys
+    photographs, tmp_path, train, command
 ):
-    record = train(photographs, tmp_path)
-    printed = capsys.readouterr()
-    assert "1 void (" in printed.out and "held-out PSNR" in printed.out and "Chamfer" not in printed.out
-    assert printed.err.count("the SfM cloud has 400 points: it starts from 400") == 1
+    record, said = train(photographs, tmp_path)
+    assert "1 void (" in said.out and "held-out PSNR" in said.out and "Chamfer" not in said.out
+    assert said.err.count("the SfM cloud has 400 points: it starts from 400") == 1
     assert record["soup"]["resamplings"][0]["before"] == 400
     assert "mesh" not in record and "bottleneck" not in record["tails"] and "frame" not in record
     (dump,) = record["dumps"]
@@ -83,37 +78,34 @@ def test_a_scene_is_trained_recorded_evaluated_and_exported_without_a_ground_tru
     (file,) = (tmp_path / "runs").iterdir()
     for private in (str(photographs), str(photographs.parent.parent), str(Path.home())):
         assert private not in file.read_text()
-    soup = tmp_path / "soups" / f"{file.stem}.npz"
-    out = tmp_path / "scores.json"
-    words = ["evaluate", str(soup), "--scene", str(photographs), "--samples=400"]
-    assert cli.main([*words, f"--json={out}"]) == 0
+    soup, out = tmp_path / "soups" / f"{file.stem}.npz", tmp_path / "scores.json"
+    line = f"evaluate {soup} --scene {photographs} --samples=400"
+    assert "held-out views: PSNR" in command(f"{line} --json={out}").out
     scores = json.loads(out.read_text())
     assert scores["images"]["psnr"] == pytest.approx(record["images"]["psnr"], abs=1e-3)
     assert scores["images"]["of"] == "held-out" and len(scores["margins"]) == 3
-    assert "held-out views: PSNR" in capsys.readouterr().out
-    assert cli.main([*words, f"--json={out}", "--supersample=2"]) == 0
+    assert "4 rays a pixel" in command(f"{line} --json={out} --supersample=2").out
     finer = json.loads(out.read_text())["images"]
     assert finer["supersample"] == 2 and finer["psnr"] != scores["images"]["psnr"]
-    assert "4 rays a pixel" in capsys.readouterr().out
-    assert cli.main([*words, "--supersample=0"]) == 2 and "from 1 to 8" in capsys.readouterr().err
-    assert cli.main([*words, "--holdout=none"]) == 0
-    assert "training views: PSNR" in capsys.readouterr().out
-    assert cli.main([*words[:2]]) == 2 and "give --target" in capsys.readouterr().err
-    assert cli.main(["export", str(soup), "--scene", str(photographs), f"--out={tmp_path / 'x'}"]) == 0
+    assert "from 1 to 8" in command(f"{line} --supersample=0", code=2).err
+    assert "training views: PSNR" in command(f"{line} --holdout=none").out
+    assert "give --target" in command(f"evaluate {soup}", code=2).err
+    command(f"export {soup} --scene {photographs} --out={tmp_path}/x")
     assert {path.suffix for path in (tmp_path / "x").glob("[!.]*")} == {".ply", ".glb", ".png", ".html"}
 
 
-def test_a_path_spelled_differently_or_a_moved_folder_is_the_same_run(own, tmp_path, monkeypatch, capsys):
+def test_a_path_spelled_differently_or_a_moved_folder_is_the_same_run(
+    own, tmp_path, monkeypatch, train, command
+):
     results = tmp_path / "r"
-    first = train(own, results)
+    first, _ = train(own, results)
     monkeypatch.chdir(own.parent)
     monkeypatch.setattr("paper_artifact.pipeline.train", None)  # calling it would fail
     for spelling in (own, "dense", "./dense/../dense/sparse/0", own / "sparse", own / "images", "."):
-        assert cli.main(["train", "--scene", str(spelling), *QUIET, *SMALL, f"--results={results}"]) == 0
+        command(f"train --scene {spelling} {SMALL} --results={results}")
     own.parent.rename(tmp_path / "chateau")
-    again = ["train", "--scene", str(tmp_path / "chateau"), *QUIET, *SMALL, f"--results={results}"]
-    assert cli.main(again) == 0 and first["config_hash"] in capsys.readouterr().out
-    assert len(find_records(results / "runs")) == 1
+    again = command(f"train --scene {tmp_path}/chateau {SMALL} --results={results}")
+    assert first["config_hash"] in again.out and len(find_records(results / "runs")) == 1
     # Another picture is another run.
     config = study_config(str(tmp_path / "chateau"), steps=24)
     before = resolve(config).config
@@ -141,9 +133,8 @@ def test_a_mesh_file_is_named_by_its_content_too(tmp_path, monkeypatch):
 
 
 def test_the_run_resumes_from_its_checkpoint_to_the_same_bits(photographs, tmp_path):
-    config = study_config(
-        str(photographs), steps=24, budget=150, samples=400, resample_every=8, dump_steps=(24,)
-    )
+    short = {"steps": 24, "budget": 150, "samples": 400, "resample_every": 8, "dump_steps": (24,)}
+    config = study_config(str(photographs), **short)
     whole = run(config, results=tmp_path / "a", device="cpu")
 
     def stop(step, text):
@@ -157,39 +148,30 @@ def test_the_run_resumes_from_its_checkpoint_to_the_same_bits(photographs, tmp_p
     assert resumed["dumps"] == whole["dumps"] and resumed["images"] == whole["images"]
 
 
-def test_words_and_targets(photographs, tmp_path, capsys):
+def test_words_and_targets(photographs, tmp_path, train, command):
     sphere = make_shape("sphere")
-    bundle = tmp_path / "bundle.json"
+    bundle, ball, far = (tmp_path / name for name in ("bundle.json", "ball.ply", "far.ply"))
     build_from_mesh(sphere.vertices, sphere.faces, 512, dimensions=(2,)).save(bundle)
-    ball = tmp_path / "ball.ply"
     trimesh.Trimesh(sphere.vertices, sphere.faces).export(ball)
-    record = train(photographs, tmp_path, "--condition=T1", "--betti=1,0,1", "--loss=samples=512")
+    trimesh.Trimesh(1000 * sphere.vertices, sphere.faces).export(far)
+    record, _ = train(photographs, tmp_path, "--condition=T1 --betti=1,0,1 --loss=samples=512")
     assert record["statement"]["betti"] == [1, 0, 1] and "mesh" not in record
-    record = train(photographs, tmp_path, "--condition=C1", f"--target={bundle}")
+    record, _ = train(photographs, tmp_path, f"--condition=C1 --target={bundle}")
     assert record["bundle"]["samples"] == 512 and record["config"]["loss"]["samples"] == 512
     assert record["config"]["loss"]["dimensions"] == [2] and "mesh" not in record
     assert [event["event"] for event in record["topology"]].count("lambda") == 1
-    record = train(photographs, tmp_path, "--condition=C2", f"--target={ball}", "--loss=samples=512")
+    record, _ = train(photographs, tmp_path, f"--condition=C2 --target={ball} --loss=samples=512")
     assert record["mesh"]["name"] == "ball" and record["tails"]["chamfer"] > 0
     assert str(ball) not in json.dumps(record)
-    capsys.readouterr()
-    assert cli.main(["train", "--scene", str(photographs), *QUIET, "--condition=C1"]) == 1
-    assert "which photographs do not bring: give --target" in capsys.readouterr().err
+    said = command(f"train --scene {photographs} {CPU} --condition=C1", code=1).err
+    assert "which photographs do not bring: give --target" in said
     given = resolve(study_config(str(photographs)))
-    big = replace(build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,)))
+    big = build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,))
     (_, scale) = OwnScene(replace(given, bundle=big)).remarks(load_scene(given.folder))
     assert "the target's diagonal is 9" in scale or "times the SfM cloud's" in scale
-    far = [
-        *QUIET,
-        "--steps=2",
-        "--set=dump_steps=2,",
-        "--condition=C1",
-        "--loss=samples=512",
-        f"--target={tmp_path / 'far.ply'}",
-    ]
-    trimesh.Trimesh(1000 * sphere.vertices, sphere.faces).export(tmp_path / "far.ply")
-    cli.main(["train", "--scene", str(photographs), *far, f"--results={tmp_path / 'far'}"])
-    assert "bring both to one unit of length" in capsys.readouterr().err
+    short = f"{CPU} --steps=2 --set=dump_steps=2, --condition=C1 --loss=samples=512 --target={far}"
+    said = command(f"train --scene {photographs} {short} --results={tmp_path}/far").err
+    assert "bring both to one unit of length" in said
 
 
 def test_a_photograph_that_shows_nothing_is_named(own, capsys):
@@ -199,67 +181,59 @@ def test_a_photograph_that_shows_nothing_is_named(own, capsys):
     assert f"1 of 11 photographs are of a single colour and show nothing: {name}" in capsys.readouterr().err
 
 
-def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path, monkeypatch, capsys):
-    words = ["sweep", "--scene", str(photographs), "--quiet", *SMALL, f"--results={tmp_path}"]
-    words += ["--condition=C0", "--condition=T1", "--betti=1,0,1", "--seed=0", "--seed=1"]
-    assert cli.main([*words, "--list"]) == 0
-    assert "missing: castle T1 seed 1" in capsys.readouterr().out
-    assert cli.main([*words[:-4], "--seed=1"]) == 0
-    assert "1 runs done" in capsys.readouterr().out
-    assert cli.main([*words[:-4], "--seed=1", "--list"]) == 0
-    assert "1 of 1 runs recorded" in capsys.readouterr().out
+def test_the_sweep_takes_a_scene_and_a_study_may_name_one(photographs, tmp_path, monkeypatch, command):
+    line = f"sweep --scene {photographs} {SMALL.replace('--device=cpu', '')} --results={tmp_path} --seed=1"
+    both = f"{line} --condition=C0 --condition=T1 --betti=1,0,1 --seed=0"
+    assert "missing: castle T1 seed 1" in command(f"{both} --list").out
+    assert "1 runs done" in command(line).out
+    assert "1 of 1 runs recorded" in command(f"{line} --list").out
     block = Block((str(photographs),), ("C0",), range(1, 2))
     monkeypatch.setitem(STUDIES, "mine", (block,))
-    assert cli.main(["sweep", "mine", "--list", f"--results={tmp_path}"]) == 0
-    assert "0 of 1 runs recorded" in capsys.readouterr().out  # of 2,500 steps, not of 24
-    assert cli.main(["sweep"]) == 2
+    listed = command(f"sweep mine --list --results={tmp_path}").out
+    assert "0 of 1 runs recorded" in listed  # of 2,500 steps, not of 24
+    command("sweep", code=2)
 
 
-def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, capsys):
+def test_the_sweep_takes_a_mesh(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.icosphere(1).export("my ball.ply")
-    words = ["sweep", "my ball.ply", "--quiet", "--results=r", "--condition=C0", "--condition=T3"]
-    words += ["--betti=1,0,1", "--steps=2", "--set=size=32", "--set=views=8", "--set=budget=30"]
-    words += ["--set=samples=64"]
-    assert cli.main([*words, "--seed=0", "--seed=0"]) == 0
-    told, following = capsys.readouterr().out.splitlines()
+    line = "sweep 'my ball.ply' --quiet --results=r --condition=C0 --condition=T3 --betti=1,0,1 --steps=2 "
+    line += "--set=size=32 --set=views=8 --set=budget=30 --set=samples=64 --seed=0"
+    told, following = command(f"{line} --seed=0").out.splitlines()
     assert "2 runs done, 0 were recorded before" in told
     export, soup, *target = shlex.split(following)[4:]
     assert export == "export" and Path(soup).is_file() and target == ["--target", "my ball.ply"]
-    assert cli.main([*words, "--seed=0", "--seed=1", "--list"]) == 0
-    told = capsys.readouterr().out
+    told = command(f"{line} --seed=1 --list").out
     assert "missing: my ball.ply T3 seed 1\n2 of 4" in told
-    assert cli.main(shlex.split(told.splitlines()[-1])[4:]) == 0  # the command that it proposes
-    assert "2 runs done, 2 were recorded before" in capsys.readouterr().out
+    again = command("", *shlex.split(told.splitlines()[-1])[4:])  # the command that it proposes
+    assert "2 runs done, 2 were recorded before" in again.out
 
 
 @pytest.mark.parametrize(
-    "arguments, words",
+    "option, words",
     [
-        (["--downscale=0.5"], "downscale must be at least 1"),
-        (["--downscale=4"], "at least 22 a side are needed"),
-        (["--background=pink"], "unknown background 'pink'"),
-        (["--holdout=a.jpg"], "no view is called a.jpg"),
-        (["--holdout=1"], "leaves no view to train on"),
-        (["--holdout="], "no view is called ''"),
-        (["--set=views=3"], "views would change scenes that are rendered from a mesh"),
-        (["--target=none.obj"], "no mesh file at none.obj"),
-        (["--target=none.json"], "cannot read the bundle none.json"),
-        (["sphere"], "give either a shape"),
+        ("--downscale=0.5", "downscale must be at least 1"),
+        ("--downscale=4", "at least 22 a side are needed"),
+        ("--background=pink", "unknown background 'pink'"),
+        ("--holdout=a.jpg", "no view is called a.jpg"),
+        ("--holdout=1", "leaves no view to train on"),
+        ("--holdout=", "no view is called ''"),
+        ("--set=views=3", "views would change scenes that are rendered from a mesh"),
+        ("--target=none.obj", "no mesh file at none.obj"),
+        ("--target=none.json", "cannot read the bundle none.json"),
+        ("sphere", "give either a shape"),
     ],
 )
-def test_bad_options_are_one_sentence(photographs, arguments, words, tmp_path, capsys):
-    code = cli.main(["train", "--scene", str(photographs), *QUIET, f"--results={tmp_path}", *arguments])
-    assert code == (2 if words.startswith(("downscale", "give either")) else 1)
-    error = capsys.readouterr().err
+def test_bad_options_are_one_sentence(photographs, option, words, tmp_path, command):
+    code = 2 if words.startswith(("downscale", "give either")) else 1
+    error = command(f"train --scene {photographs} {CPU} --results={tmp_path} {option}", code=code).err
     assert words in error and len(error.splitlines()) == 1
 
 
-def test_options_of_a_scene_belong_to_a_scene(capsys):
+def test_options_of_a_scene_belong_to_a_scene(command):
     for option in ("--downscale=2", "--holdout=4", "--target=a.obj"):
-        assert cli.main(["train", "sphere", *QUIET, option]) == 2
-        assert "--scene DIR" in capsys.readouterr().err
-    assert cli.main(["train", *QUIET]) == 2 and "give either" in capsys.readouterr().err
+        assert "--scene DIR" in command(f"train sphere {CPU} {option}", code=2).err
+    assert "give either" in command(f"train {CPU}", code=2).err
 
 
 def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
@@ -281,7 +255,10 @@ def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
     assert (masked.images[..., 22:] == np.array([0, 128, 255])[:, None, None]).all()
     half = load_scene(own, background="mean").background
     np.testing.assert_allclose(half, plain.colours(plain.train)[:, :, :22].mean(axis=(0, 1, 2)), atol=1e-6)
-    assert scene_digest(own) != scene_digest_without_masks(own)
+    digest = scene_digest(own)
+    (own / "masks").rename(own / "unused")
+    assert scene_digest(own) != digest
+    (own / "unused").rename(own / "masks")
     (own / "masks" / plain.names[3]).unlink()
     with pytest.raises(InputError, match="has no mask for view_003.png"):
         load_scene(own)
@@ -301,17 +278,12 @@ def test_photographs_are_read_smaller_over_a_background_and_through_masks(own):
         load_scene(own)
 
 
-def scene_digest_without_masks(folder):
-    (folder / "masks").rename(folder / "unused")
-    digest = scene_digest(folder)
-    (folder / "unused").rename(folder / "masks")
-    return digest
-
-
 def test_settings_of_no_scene_are_refused(photographs):
     for wrong in ({"downscale": 0}, {"downscale": np.nan}, {"background": (1, 1, 1)}, {"holdout": ["a"]}):
         with pytest.raises(InputError):
             load_scene(photographs, **wrong)
+    with pytest.raises(InputError, match="downscale must be at least 1"):
+        GivenConfig(downscale=float("nan"))
     with pytest.raises(InputError, match="named by its folder's path"):
         load_scene(None)
     assert len(load_scene(photographs, holdout=2).holdout) > 1
@@ -367,8 +339,3 @@ def test_names_that_nearly_match_and_views_without_image(own, capsys):
         file.unlink()
     with pytest.raises(InputError, match=r"no image at .* \(10 of 11 are missing\)"):
         load_scene(own)
-
-
-def test_settings_of_given_data_are_typed_and_name_a_run():
-    with pytest.raises(InputError, match="downscale must be at least 1"):
-        GivenConfig(downscale=float("nan"))

@@ -1,7 +1,5 @@
 """Handles, holes and voids: which loop goes around what, how long it is, and surgery that removes one."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -9,17 +7,16 @@ import pytest
 import trimesh
 
 from paper_artifact.certify.certificate import certify_mesh
-from paper_artifact.cli import main
 from paper_artifact.errors import InputError
 from paper_artifact.ingest.crossings import crossing_faces
-from paper_artifact.ingest.handles import find_loops, find_voids, linking_number
+from paper_artifact.ingest.handles import find_loops, find_voids
 from paper_artifact.ingest.solidify import write_shell
 from paper_artifact.ingest.surgery import cut_and_capped
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh
 from paper_artifact.scene.shapes import find_mesh, make_shape
+from tests import certify_shapes as shapes
 
 TURN = np.linspace(0, 2 * np.pi, 120, endpoint=False)[:, None]
-ZERO = np.zeros_like(TURN)
 
 
 def tube(path: np.ndarray, radius: float, around: int = 12) -> Mesh:
@@ -43,12 +40,10 @@ def outward(mesh: Mesh) -> Mesh:
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
-    faces = np.concatenate([each.faces + start for each, start in zip(meshes, starts, strict=False)])
-    return Mesh(np.concatenate([each.vertices for each in meshes]), faces, "joined")
+    return Mesh(*shapes.joined(*((each.vertices, each.faces) for each in meshes)), "joined")
 
 
-RING = np.concatenate([np.cos(TURN), np.sin(TURN), ZERO], axis=1)
+RING = np.concatenate([np.cos(TURN), np.sin(TURN), 0 * TURN], axis=1)
 TREFOIL = np.concatenate(
     [np.sin(TURN) + 2 * np.sin(2 * TURN), np.cos(TURN) - 2 * np.cos(2 * TURN), -np.sin(3 * TURN)], axis=1
 )
@@ -60,13 +55,6 @@ def crossings(mesh: Mesh) -> int:
 
 def lengths(mesh: Mesh, kind: str) -> list[float]:
     return [each.length for each in find_loops(mesh) if each.kind == kind]
-
-
-def test_linking_numbers_are_those_of_known_links():
-    other = np.concatenate([1 + np.cos(TURN), ZERO, np.sin(TURN)], axis=1)
-    assert abs(linking_number(RING, other)) == pytest.approx(1, abs=1e-9)
-    assert linking_number(RING, other[::-1]) == pytest.approx(-linking_number(RING, other), abs=1e-9)
-    assert linking_number(RING, other + [0, 3, 0]) == pytest.approx(0, abs=1e-9)
 
 
 def test_loops_go_around_the_handle_and_around_the_hole():
@@ -107,7 +95,7 @@ def test_a_coarse_mesh_is_refined_for_surgery():
     assert all(certify_mesh(cut_and_capped(mesh, each)).genus == 0 for each in find_loops(mesh))
 
 
-def test_what_no_disc_closes_is_said(tmp_path, capsys):
+def test_what_no_disc_closes_is_said(tmp_path, command):
     ring = tube(RING, 0.2)
     linked = joined(ring, Mesh(ring.vertices[:, [0, 2, 1]] + [1, 0, 0], ring.faces[:, ::-1], ""))
     kinds = [each.kind for each in find_loops(linked)]
@@ -118,43 +106,40 @@ def test_what_no_disc_closes_is_said(tmp_path, capsys):
     (handle,) = find_loops(knot)  # the loop that bounds outside winds along the knot: no two shortest paths
     assert certify_mesh(cut_and_capped(knot, handle)).genus == 0
     write_shell(tmp_path / "knot.ply", Mesh(knot.vertices.astype(np.float32).astype(float), knot.faces, ""))
-    assert main(["certify", str(tmp_path / "knot.ply"), "--where", str(tmp_path / "k.html"), "--quiet"]) == 0
-    assert "no short loop was found around 1 of 1 holes" in capsys.readouterr().out
+    said = command(f"certify {tmp_path}/knot.ply --where {tmp_path}/k.html --quiet").out
+    assert "no short loop was found around 1 of 1 holes" in said
 
 
-def test_the_command_marks_fills_and_cuts(tmp_path, capsys):
+def test_the_command_marks_fills_and_cuts(tmp_path, command):
     page, found, out = (tmp_path / name for name in ("w.html", "w.json", "out.ply"))
-    assert main(["certify", "torus", "--where", str(page), "--json", str(found), "--quiet"]) == 0
-    printed = capsys.readouterr().out
+    printed = command(f"certify torus --where {page} --json {found} --quiet").out
     assert "handle  1  red" in printed and "hole    1  blue" in printed and "void    1  green" in printed
     assert "hole 1 (blue)" in page.read_text() and '"up":[0.0,0.0,1.0]' in page.read_text()
     ring = tube(RING, 0.2)
     trimesh.Trimesh(ring.vertices, ring.faces, process=False).export(tmp_path / "t.obj")
-    assert main(["certify", str(tmp_path / "t.obj"), "--where", str(page), "--quiet"]) == 0
+    command(f"certify {tmp_path}/t.obj --where {page} --quiet")
     assert '"up":[0.0,1.0,0.0]' in page.read_text()
-    capsys.readouterr()
     kinds = [each["kind"] for each in json.loads(found.read_text())["where"]]
     assert kinds == ["handle", "hole", "void"]
-    for words in (["--fill", "1"], ["--cut", "1", "--where", str(tmp_path / "w.ply")]):
-        assert main(["certify", "torus", *words, "--out", str(out), "--quiet"]) == 0
-        assert "PASS, closed surface, genus 0" in capsys.readouterr().out
-        assert certify_mesh(load_mesh(out)).genus == 0
+    for wish in ("--fill 1", f"--cut 1 --where {tmp_path}/w.ply"):
+        said = command(f"certify torus {wish} --out {out} --quiet").out
+        assert "PASS, closed surface, genus 0" in said and certify_mesh(load_mesh(out)).genus == 0
     assert len(load_mesh(tmp_path / "w.ply").faces) > 27648
 
 
 @pytest.mark.parametrize(
-    "words, code, said",
+    "wish, code, said",
     [
-        (["torus", "--fill", "2"], 1, "has 1 holes, so none of number 2"),
-        (["bowl_wide", "--where", "w.html"], 1, "is no closed certified surface"),
-        (["torus", "--where", "w.png"], 2, "--where writes .html or .ply"),
-        (["torus", "--fill", "1", "--cut", "1"], 2, "one at a time"),
-        (["torus", "--cut", "0"], 2, "--cut must be at least 1"),
+        ("torus --fill 2", 1, "has 1 holes, so none of number 2"),
+        ("bowl_wide --where w.html", 1, "is no closed certified surface"),
+        ("torus --where w.png", 2, "--where writes .html or .ply"),
+        ("torus --fill 1 --cut 1", 2, "one at a time"),
+        ("torus --cut 0", 2, "--cut must be at least 1"),
     ],
 )
-def test_wrong_wishes_are_one_sentence(words, code, said, tmp_path, monkeypatch, capsys):
+def test_wrong_wishes_are_one_sentence(wish, code, said, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    assert main(["certify", *words, "--quiet"]) == code and said in capsys.readouterr().err
+    assert said in command(f"certify {wish} --quiet", code=code).err
     assert not list(tmp_path.iterdir())
 
 

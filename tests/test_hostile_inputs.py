@@ -3,8 +3,6 @@
 The command for many more of the first kind: `python -m tests.fuzz_readers 2000`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import struct
@@ -22,6 +20,7 @@ from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.images import MOST_PIXELS
 from paper_artifact.scene.load import load_scene
+from tests.file_features import Gltf
 from tests.fuzz_readers import fuzz
 
 pytestmark = pytest.mark.faults
@@ -90,13 +89,13 @@ def test_symbolic_links_that_stay_inside_are_followed_and_loops_are_refused(scen
         inside(folder, "a\0b")
 
 
-def png_of(width: int, height: int, mode: str = "RGB") -> bytes:
+def png_of(width: int, height: int) -> bytes:
     """A PNG whose header alone tells its size."""
 
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zipfile.crc32(name + data))
 
-    head = struct.pack(">IIBBBBB", width, height, 8, 6 if mode == "RGBA" else 2, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
 
 
@@ -149,10 +148,9 @@ def test_archives_that_unpack_without_end_are_refused(tmp_path):
 
 def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path):
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000, 3), }"
+    array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head) + 1) + head + b"\n" + bytes(48)
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
-        archive.writestr(
-            "a.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head) + 1) + head + b"\n" + bytes(48)
-        )
+        archive.writestr("a.npy", array)
     with pytest.raises(ValueError, match="cannot reshape"):
         load_npz(tmp_path / "a.npz")
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
@@ -161,11 +159,8 @@ def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path):
 
 
 def test_arrays_come_back_as_they_were(tmp_path):
-    arrays = {
-        "a": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-        "b": np.array("word"),
-        "c": np.zeros((0, 2)),
-    }
+    columns = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    arrays = {"a": columns, "b": np.array("word"), "c": np.zeros((0, 2))}
     write_npz(tmp_path / "a.npz", arrays)
     back = load_npz(tmp_path / "a.npz")
     assert back.keys() == arrays.keys()
@@ -175,57 +170,40 @@ def test_arrays_come_back_as_they_were(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    "part, place, change, words",
     [
-        (
-            lambda head: head["accessors"][1].pop("bufferView") and head["accessors"][1].update(count=10**10),
-            "names",
-        ),
-        (lambda head: head["accessors"][1].update(count=10**10), "damaged"),
-        (lambda head: head["bufferViews"][0].update(byteLength=10**10), "damaged"),
-        (lambda head: head["buffers"][0].update(uri="../../../../../../etc/passwd"), "not in the folder"),
+        ("accessors", 1, {"count": 10**10, "bufferView": None}, "names"),
+        ("accessors", 1, {"count": 10**10}, "damaged"),
+        ("bufferViews", 0, {"byteLength": 10**10}, "damaged"),
+        ("buffers", 0, {"uri": "../../../../../../etc/passwd"}, "not in the folder"),
     ],
 )
-def test_models_that_declare_what_they_do_not_hold(change, words, tmp_path):
-    data = trimesh.creation.icosphere(1).export(file_type="glb")
-    length = int.from_bytes(data[12:16], "little")
-    head = json.loads(data[20 : 20 + length])
-    change(head)
-    text = json.dumps(head).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + length :]
-    file = tmp_path / "ball.glb"
-    total = 20 + len(text) + len(rest)
-    file.write_bytes(data[:8] + struct.pack("<III", total, len(text), 0x4E4F534A) + text + rest)
-    with pytest.raises(InputError, match=rf"ball.glb .*{words}"):
-        load_mesh(file)
+def test_models_that_declare_what_they_do_not_hold(part, place, change, words, tmp_path):
+    made = Gltf()
+    document = made.document()
+    entry = document[part][place] | change
+    document[part][place] = {name: value for name, value in entry.items() if value is not None}
+    with pytest.raises(InputError, match=rf"cube.glb .*{words}"):
+        load_mesh(made.glb(tmp_path, document))
 
 
 def test_a_model_with_more_instances_than_memory_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("paper_artifact.formats.gltf.MOST_FACES", 1000)
-    scene, ball = trimesh.Scene(), trimesh.creation.icosphere(1)
-    for x in range(13):
-        scene.add_geometry(
-            ball, geom_name="ball", transform=trimesh.transformations.translation_matrix([x, 0, 0])
-        )
-    scene.export(tmp_path / "balls.glb")
-    with pytest.raises(InputError, match=r"balls.glb is damaged .*more than 1000 triangles"):
-        load_mesh(tmp_path / "balls.glb")
-
-
-def test_an_obj_whose_points_have_two_coordinates_is_refused(tmp_path):
-    rows = ["v 0 0", "v 1 0", "v 0 1", "v 1 1", "v 2 1", "v 2 2", "f 1 2 3", "f 2 3 4"]
-    (tmp_path / "flat.obj").write_text("\n".join(rows))
-    with pytest.raises(InputError, match=r"flat.obj"):
-        load_mesh(tmp_path / "flat.obj")
+    made = Gltf()
+    places = [{"mesh": 0, "translation": [2 * n, 0, 0]} for n in range(84)]  # of 12 triangles each
+    file = made.glb(tmp_path, made.document(None, [{"children": [*range(1, 85)]}, *places]))
+    with pytest.raises(InputError, match=r"cube.glb is damaged .*more than 1000 triangles"):
+        load_mesh(file)
 
 
 def test_a_model_that_is_cut_off_asks_for_no_memory(tmp_path):
-    data = trimesh.creation.icosphere(1).export(file_type="glb")
+    made = Gltf()
+    file = made.glb(tmp_path, made.document())
+    data = file.read_bytes()
     place = data.index(b"BIN\0") - 4
-    (tmp_path / "ball.glb").write_bytes(data[:place] + b"\xff\xff\xff\xff" + data[place + 4 :])
-    with pytest.raises(InputError, match=r"ball.glb is damaged .*a chunk is longer than the file"):
-        load_mesh(tmp_path / "ball.glb")
+    file.write_bytes(data[:place] + b"\xff\xff\xff\xff" + data[place + 4 :])
+    with pytest.raises(InputError, match=r"cube.glb is damaged .*a chunk is longer than the file"):
+        load_mesh(file)
 
 
 def test_records_that_unpack_without_end_are_refused(monkeypatch):

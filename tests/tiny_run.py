@@ -1,8 +1,6 @@
 """The smallest run that still learns something: a sphere in 8 views of 64 px, 200 triangles, 60 steps (about
 a second)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +10,9 @@ from paper_artifact.record.store import read_record
 
 STEPS = 60
 TINY = {
-    "steps": STEPS,
-    "budget": 200,
-    "views": 8,
-    "size": 64,
-    "vertex_lr": 0.02,
-    "final_lr": 0.1,
-    "initial_ratio": 3.0,
-    "resample_every": 10,
-    "samples": 500,
-    "dump_steps": (20, 30, 60),
-}
+    "steps": STEPS, "budget": 200, "views": 8, "size": 64, "vertex_lr": 0.02, "final_lr": 0.1,
+    "initial_ratio": 3.0, "resample_every": 10, "samples": 500, "dump_steps": (20, 30, 60),
+}  # fmt: skip
 
 
 def tiny_config(**changes: Any) -> RunConfig:

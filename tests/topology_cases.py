@@ -1,7 +1,5 @@
 """Clouds, bundles and pulls made by hand, for the tests of the loss."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from paper_artifact.topology.bundle import Bundle
@@ -19,16 +17,7 @@ def handmade_bundle(
     bars = [np.zeros((0, 2))] * 3
     bars[dimension] = np.array(target, dtype=np.float64).reshape(-1, 2)
     return Bundle(
-        bars=tuple(bars),
-        dimensions=(dimension,),
-        reasons=("", "", ""),
-        samples=samples,
-        seed=0,
-        floor=floor,
-        floor_multiplier=6.0,
-        diagonal=diagonal,
-        shape="handmade",
-        source="sha256:",
+        tuple(bars), (dimension,), ("", "", ""), samples, 0, floor, 6.0, diagonal, "handmade", "sha256:"
     )
 
 
