@@ -1,4 +1,4 @@
-"""Image scores: PSNR and SSIM in double precision, data range 1.
+"""What pictures say of a soup: PSNR and SSIM in double precision, data range 1; which of its points they show.
 
 SSIM is that of `paper_artifact.ssim`, per colour channel, then the mean over windows and channels.
 """
@@ -10,11 +10,15 @@ from scipy.ndimage import correlate1d
 
 from paper_artifact.arithmetic import log
 from paper_artifact.errors import InputError, as_numbers
+from paper_artifact.raster.view import ViewRaster, to_clip
+from paper_artifact.sampling import sample_soup
 from paper_artifact.scene.load import Scene
 from paper_artifact.soup.state import Soup, render_views
 from paper_artifact.ssim import RADIUS, WINDOW, gaussian_window, similarity
 
 LOWEST_MSE = 1e-10  # PSNR at most 100 dB, so that a record never holds an infinity
+SEEN_IN = 3  # training views that must show a point of the surface; chosen in data_scripts/measure/seen.py
+DRAWN = 8  # points that are drawn for each that is wanted: in the study a third to two thirds are seen
 
 
 def psnr(image: np.ndarray, truth: np.ndarray) -> float:
@@ -69,6 +73,41 @@ def view_scores(soup: Soup, scene: Scene, views: np.ndarray, supersample: int = 
     pairs = [pair for scores in each for pair in scores["views"]]
     means = np.mean(pairs, axis=0)
     return {"psnr": float(means[0]), "ssim": float(means[1]), "views": pairs}
+
+
+def views_that_show(soup: Soup, scene: Scene, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return in how many training views each point on a soup is visible, (n,) int64.
+
+    points (n,3) float, world units of the scene, each on the triangle (n,) int of the soup. A view shows a
+    point where its triangle is the visible one at the point's pixel, at the threshold .5.
+    """
+    drawn, (height, width) = soup.drawn(), scene.images.shape[-2:]
+    view, times = ViewRaster(height, width), np.zeros(len(points), np.int64)
+    for matrix in scene.world_to_clip[scene.train]:
+        view.draw(to_clip(drawn.vertices, matrix), drawn.opacity, None)
+        clip = to_clip(points.astype(np.float32), matrix)
+        ahead = np.flatnonzero(clip[:, 3] > 0)
+        column, row = np.floor((clip[ahead, :2] / clip[ahead, 3:] + 1) / 2 * (width, height)).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        ahead, column, row = ahead[inside], column[inside].astype(int), row[inside].astype(int)
+        times[ahead] += view.seen()[row, column] == triangles[ahead] + 1
+    return times
+
+
+def seen_samples(soup: Soup, scene: Scene, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return `count` points (count,3) float64 of what the pictures show of a soup, world units of the scene.
+
+    They are the first of DRAWN times as many from `sample_soup` that SEEN_IN training views show: no ground
+    truth is asked, and what lies hidden inside a body is left out. Raises InputError where fewer are seen.
+    """
+    points, triangles, _ = sample_soup(soup.vertices.numpy(), soup.corner_opacity(), DRAWN * count, generator)
+    points = points[views_that_show(soup, scene, points, triangles) >= SEEN_IN]
+    if len(points) < count:
+        raise InputError(
+            f"{len(points)} of {DRAWN * count} points of the soup are seen in {SEEN_IN} views of {scene.path}; is "
+            "it the scene that the soup was trained on?"
+        )
+    return points[:count]
 
 
 def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
