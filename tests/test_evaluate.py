@@ -4,12 +4,14 @@ import gudhi
 import gudhi.hera
 import numpy as np
 import pytest
+import torch
 import trimesh
 from scipy.spatial.distance import cdist
 
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import diagram_of, longest_bars, significant_counts
 from paper_artifact.evaluate.geometry import chamfer_sum, point_distances
+from paper_artifact.evaluate.image import SEEN_IN, seen_samples, views_that_show
 from paper_artifact.evaluate.scores import (
     discriminating_dimension,
     evaluate_samples,
@@ -21,6 +23,8 @@ from paper_artifact.evaluate.scores import (
 )
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.randomness import stream
+from paper_artifact.sampling import sample_soup
+from paper_artifact.soup.state import Soup, initial_mlp
 from paper_artifact.topology.floor import measurement_floor
 
 
@@ -142,3 +146,20 @@ def test_evaluate_samples_refuses_diverged_samples():
         point_distances(1e300 * target.samples, target.samples, 1.0)
     with pytest.raises(InputError, match="the points of the first sample are not numbers"):
         point_distances([["a", "b", "c"]], target.samples, 1.0)
+
+
+def test_a_view_shows_what_faces_it_and_nothing_behind(tiny_scene):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    corners = torch.tensor(np.concatenate([ball.triangles, ball.triangles / 2]), dtype=torch.float32)
+    soup = Soup(corners, torch.zeros(160, 3, 7), torch.full((160, 3), 9.0), initial_mlp(0))
+    opacity = soup.corner_opacity()
+    points, triangles, _ = sample_soup(corners.numpy(), opacity, 4000, stream(0, "seen"))
+    times, outer = views_that_show(soup, tiny_scene, points, triangles), triangles < 80
+    assert not times[~outer].any()
+    towards = tiny_scene.camera_centres[tiny_scene.train] - ball.triangles_center[:, None]
+    facing = (np.einsum("fvk,fk->fv", towards, ball.face_normals) > 0).sum(1)[triangles[outer]]
+    assert (times[outer] <= facing).all() and (times[outer] == facing).mean() > 0.5
+    seen = seen_samples(soup, opacity, tiny_scene, 500, stream(0, "seen"))
+    assert seen.shape == (500, 3) and np.linalg.norm(seen, axis=1).min() > 0.8
+    with pytest.raises(InputError, match=f"0 of 800 points of the soup are seen in {SEEN_IN} views of"):
+        seen_samples(soup, opacity * (np.arange(160) >= 80)[:, None], tiny_scene, 100, stream(0, "seen"))

@@ -5,10 +5,10 @@
     python data_scripts/measure/seen.py --table held_out    # the ten held-out shapes
 
 One row per soup and number of views that must show a point (0: none, all of the surface, as everywhere else):
-share of the points left, counts and bottleneck to the truth per dimension (radius / D) of 20,000 points of
-the finished soup, Chamfer. `inside`: part of all points that lie deeper than .01 D in the body. Soups and
-scenes are those in --runs (records of 0.3.0 for `choose`, `held_out.py`'s for `held_out`); four seconds of CPU
-a row. seen_TABLE.csv; notebook 16 reads them.
+share of the points left, counts and bottleneck to the truth per dimension (radius / D) of 20,000 points
+of the finished soup, Chamfer. `inside`: part of all points that lie deeper than .01 D in the body. Soups and
+scenes are those in --runs (records of 0.3.0 for `choose`, `held_out.py`'s for `held_out`); four seconds of
+CPU a row. seen_TABLE.csv; notebook 16 reads them.
 """
 
 from __future__ import annotations

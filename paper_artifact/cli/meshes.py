@@ -171,7 +171,7 @@ class AuditOptions(Options):
 
     mesh MESH|SOUP: {MESH}, or 'pot'; of a trained soup (.npz) the Betti numbers that it shows are proposed
     scene DIR: a COLMAP scene; without a mesh the Betti numbers that its SfM cloud shows are proposed, with a
-        soup those of what the cameras look at
+        soup those of what the cameras look at and three pictures show
     out DIR: folder for audit.html, audit.json and bundle.json (default: results/audits/NAME)
     seeds: sampling seeds of the staircase
     seed: the first of them, which decides and which the bundle is built with
@@ -193,19 +193,28 @@ def propose(soup: str | None, scene: Path | None) -> int:
 
     Raises WrongUsage for neither, InputError for a damaged file or too few points.
     """
+    from paper_artifact.evaluate.image import seen_samples
     from paper_artifact.sampling import sample_soup
     from paper_artifact.scene.load import load_scene
     from paper_artifact.scene.subject import subject_of_scene
-    from paper_artifact.soup.state import load_frame, load_soup
+    from paper_artifact.soup.state import load_frame, load_soup, reframed
     from paper_artifact.topology.statement import cleaned, densities_of, drawn, suggest
 
     if soup is not None:
-        trained = load_soup(soup)
-        corners, opacity = load_frame(Path(soup)).outward(trained.vertices.numpy()), trained.corner_opacity()
+        trained, frame = load_soup(soup), load_frame(Path(soup))
+        corners, opacity = frame.outward(trained.vertices.numpy()), trained.corner_opacity()
         if scene is not None:
-            of_it = subject_of_scene(scene).holds(corners.mean(1))
-            corners, opacity = corners[of_it], opacity[of_it]
-        found = suggest(lambda count: sample_soup(corners, opacity, count, stream(0, "propose", count))[0])
+            opacity = opacity * subject_of_scene(scene).holds(corners.mean(1))[:, None]
+            shown = load_scene(scene)
+            moved = reframed(trained, frame, shown.frame)
+
+        def sample(count: int) -> np.ndarray:
+            draws = stream(0, "propose", count)
+            if scene is None:
+                return sample_soup(corners, opacity, count, draws)[0]
+            return seen_samples(moved, opacity, shown, count, draws)
+
+        found = suggest(sample)
     elif scene is None:
         raise WrongUsage("give a mesh, a trained soup (.npz), or --scene DIR")
     else:

@@ -1,4 +1,4 @@
-"""What pictures say of a soup: PSNR and SSIM in double precision, data range 1; which of its points they show.
+"""What pictures say of a soup: PSNR and SSIM in double precision, data range 1; which points they show.
 
 SSIM is that of `paper_artifact.ssim`, per colour channel, then the mean over windows and channels.
 """
@@ -94,18 +94,21 @@ def views_that_show(soup: Soup, scene: Scene, points: np.ndarray, triangles: np.
     return times
 
 
-def seen_samples(soup: Soup, scene: Scene, count: int, generator: np.random.Generator) -> np.ndarray:
+def seen_samples(
+    soup: Soup, opacity: np.ndarray, scene: Scene, count: int, generator: np.random.Generator
+) -> np.ndarray:
     """Return `count` points (count,3) float64 of what the pictures show of a soup, world units of the scene.
 
-    They are the first of DRAWN times as many from `sample_soup` that SEEN_IN training views show: no ground
-    truth is asked, and what lies hidden inside a body is left out. Raises InputError where fewer are seen.
+    They are the first of DRAWN times as many from `sample_soup` with `opacity` (T,3), the soup's own or 0
+    where nothing is wanted, that SEEN_IN training views show. No ground truth is asked; what lies hidden
+    inside a body is left out. Raises InputError where fewer are seen.
     """
-    points, triangles, _ = sample_soup(soup.vertices.numpy(), soup.corner_opacity(), DRAWN * count, generator)
+    points, triangles, _ = sample_soup(soup.vertices.detach().numpy(), opacity, DRAWN * count, generator)
     points = points[views_that_show(soup, scene, points, triangles) >= SEEN_IN]
     if len(points) < count:
         raise InputError(
-            f"{len(points)} of {DRAWN * count} points of the soup are seen in {SEEN_IN} views of {scene.path}; is "
-            "it the scene that the soup was trained on?"
+            f"{len(points)} of {DRAWN * count} points of the soup are seen in {SEEN_IN} views of "
+            f"{scene.path}; give the scene that the soup was trained on"
         )
     return points[:count]
 
