@@ -52,7 +52,7 @@ def rows_of(record: Path, views: tuple[int, ...]) -> list[dict]:
     folder, config = record.parent.parent, config_of(read_record(record))
     own = folder / config.shape if Path(config.shape).suffix else None
     mesh = find_mesh(config.shape) if own is None else load_mesh(folder / Path(config.shape).name)
-    scene, target = prepare_scene(config, mesh, folder), make_target(mesh)
+    scene, target = prepare_scene(config, mesh, folder / "scenes"), make_target(mesh)
     soup, wanted = load_soup(folder / "soups" / f"{record.stem}.npz"), len(target.samples)
     draws = stream(0, "seen")
     points, triangles, _ = sample_soup(soup.vertices.numpy(), soup.corner_opacity(), DRAWN * wanted, draws)
