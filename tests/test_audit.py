@@ -176,6 +176,7 @@ def test_a_soup_or_a_scene_is_asked_for_its_betti_numbers(tiny_scene, tmp_path, 
     assert "a mesh is audited whole" in command(f"audit torus --scene {tmp_path}", code=2).err
     save_soup(tmp_path / "soup.npz", initial_soup(tiny_scene.points, 400, 0))
     assert "M = 16384: " in command(f"audit {tmp_path}/soup.npz").out
+    assert "M = 16384: " in command(f"audit {tmp_path}/soup.npz --scene {tiny_scene.path}").out
 
 
 def test_a_failing_certificate_is_audited_by_what_is_seen():

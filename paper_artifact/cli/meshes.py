@@ -204,9 +204,10 @@ def propose(soup: str | None, scene: Path | None) -> int:
         trained, frame = load_soup(soup), load_frame(Path(soup))
         corners, opacity = frame.outward(trained.vertices.numpy()), trained.corner_opacity()
         if scene is not None:
-            opacity = opacity * subject_of_scene(scene).holds(corners.mean(1))[:, None]
             shown = load_scene(scene)
             moved = reframed(trained, frame, shown.frame)
+            if not shown.rendered:
+                opacity = opacity * subject_of_scene(scene).holds(corners.mean(1))[:, None]
 
         def sample(count: int) -> np.ndarray:
             draws = stream(0, "propose", count)
