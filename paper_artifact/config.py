@@ -300,7 +300,9 @@ def config_from(values: Mapping[str, Any], version: int = DEFAULTS_VERSION) -> R
     parts = {name: given.pop(name, None) for name in PARTS} if given is not None else {}
     if given is None or not all(part is None or isinstance(part, Mapping) for part in parts.values()):
         raise InputError(f"a configuration is settings by name, and so is its loss, got {values!r:.60}")
-    run = with_changes(RunConfig(given.pop("shape", "")), {**_former(version, ""), **given})
+    if not isinstance(shape := given.pop("shape", ""), str):
+        raise InputError(f"a configuration's shape is a name or a path, got {shape!r:.60}")
+    run = with_changes(RunConfig(shape), {**_former(version, ""), **given})
     made = {
         name: with_changes(PARTS[name](), {**_former(version, f"{name}."), **part})
         for name, part in parts.items()

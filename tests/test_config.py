@@ -196,6 +196,8 @@ def test_a_changed_default_keeps_the_names_of_older_runs(monkeypatch):
     assert "views" not in identity(then, 1) and identity(then, 2)["views"] == 24
     with pytest.raises(InputError, match="version 3 is unknown"):
         config_from({"shape": "sphere"}, 3)
+    with pytest.raises(InputError, match="shape is a name or a path, got None"):
+        config_from({"shape": None})
 
 
 # --- the catalogue

@@ -63,6 +63,8 @@ def test_nothing_to_draw_from_is_an_error():
             sample_soup(vertices, None, 10, stream(0, "test"))
     with pytest.raises(InputError, match="number of samples is -1; give a whole number from 0 to 10"):
         sample_surface(mesh.vertices, mesh.faces, -1, stream(0, "test"))
+    with pytest.raises(InputError, match="a stream's purpose is 5; give a text"):
+        stream(0, 5)
     with pytest.raises(InputError, match="the generator is 42; give numpy's, as stream"):
         sample_surface(mesh.vertices, mesh.faces, 10, 42)
     assert len(sample_surface(mesh.vertices, mesh.faces, 0, stream(0, "test"))[0]) == 0

@@ -119,6 +119,8 @@ def frames(pose=None, file_path="train/r_0"):
         (frames(np.diag([1, 1, -1, 1])), "is no pose"),  # but a mirror
         (frames(np.eye(4) + np.eye(4, k=-3)), "if it lists columns, transpose it"),
         (frames(np.eye(4) + np.eye(4, k=1)), "is no pose"),  # but sheared
+        ({"white_transparent": True}, "has white_transparent, which is not read"),
+        ({"ply_file_path": "."}, "names the cloud ., which is not there"),
         ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
         ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
@@ -222,7 +224,7 @@ def test_names_as_others_write_them_masks_and_a_given_cloud(folder, tmp_path, ca
     content = json.loads((folder / "transforms.json").read_text())
     for index, frame in enumerate(content["frames"]):
         frame["file_path"] = spellings[index % len(spellings)].format(index)
-        frame["mask_path"] = f"my images/mask_{index}.png"
+        frame["mask_path"] = "" if index == 5 else f"my images/mask_{index}.png"
         frame["transform_matrix"] = frame["transform_matrix"][:3]
     file = tmp_path / "transforms.json"
     file.write_bytes(b"\xef\xbb\xbf" + json.dumps(content).encode())

@@ -39,6 +39,11 @@ def test_train_verify(tmp_path, capsys):
     assert main([*command, "--verify", "--threads=2"]) == 0
     assert capsys.readouterr().out == f"{path.name}: same bits\n"
     assert path.read_bytes() == before
+    soup = tmp_path / "soups" / f"{path.stem}.npz"
+    whole = soup.read_bytes()
+    soup.write_bytes(whole[:500])
+    assert main(command) == 1 and "not a readable soup" in capsys.readouterr().err
+    soup.write_bytes(whole)
     record = read_record(path)
     place = record["losses"]["step"].index(40)
     value = record["losses"]["loss"][place]

@@ -99,6 +99,8 @@ def _mended(options: Certify) -> Path:
         raise InputError(
             f"{out} is there already; --out {quoted(out)} replaces it, --out with another name keeps it"
         )
+    if out in (options.json, options.where):
+        raise WrongUsage(f"the mended mesh is written to {out} too; give it another name with --out")
     return out
 
 

@@ -159,6 +159,7 @@ def trained(options: Train) -> tuple[dict, Path, Path, bool]:
 def train(options: Train) -> int:
     """Train (or find the record) and print the result. Returns 0, or 1 where --verify finds a difference."""
     from paper_artifact.pipeline import audit_remarks, results_of
+    from paper_artifact.soup.state import load_soup
 
     if options.verify:
         if options.again:
@@ -180,6 +181,8 @@ def train(options: Train) -> int:
     if not soup.is_file():
         print(f"warning: the soup {soup} is gone; --again trains it anew", file=sys.stderr)
         return 0
+    if not ran:
+        load_soup(soup)  # refused where it is damaged
     print(f"soup: {soup}", _after(soup, options.shape, options.scene, options.betti), sep="\n")
     return 0
 

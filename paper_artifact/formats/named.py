@@ -32,7 +32,7 @@ def find_file(folder: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path
                 return path
     parts = [part for part in PurePosixPath(plain).parts if part not in ("/", ".", "..") and part[1:] != ":"]
     tails = range(len(parts)) if _leads_out(plain) else range(1)
-    for start in tails:
+    for start in tails if parts else ():
         found = _nearly(folder, parts[start:], endings)
         if len(found) == 1:
             return inside(folder, str(found[0].relative_to(folder)))

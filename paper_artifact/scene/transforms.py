@@ -49,6 +49,7 @@ OTHER_LENSES = (
     *("is_fisheye", "fisheye", "is_latlong", "latlong", "equirectangular", "is_equirectangular"),
     *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6"),
 )
+KEYED = ("white_transparent", "black_transparent", "mask_color")  # of instant-ngp: colours that are clear
 OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distortion_params
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
@@ -210,13 +211,18 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
         (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
         None if model in LENSES else f"camera_model {model}",
     )
+    keyed = [each for each in KEYED if both.get(each)]
+    if keyed:
+        raise InputError(
+            f"{file} has {keyed[0]}, which is not read; make these pixels transparent in the images instead"
+        )
     if lens is not None:
         raise InputError(
             f"{file}: {name} has {lens}, which is not read; turn the images into those of pinhole cameras "
             "first (COLMAP's image_undistorter does so for fisheyes)"
         )
     mask = None
-    if own.get("mask_path") is not None:
+    if own.get("mask_path"):
         mask = _named(file, str(own["mask_path"]))
         if mask is None:
             raise InputError(f"{file} names the mask {own['mask_path']}, which is not there; copy it too")
