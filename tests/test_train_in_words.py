@@ -131,6 +131,8 @@ def test_a_run_made_again_replaces_nothing_that_somebody_changed(results):
     noted = record.read_text().replace('"cpu_seconds"', '"note": "mine", "cpu_seconds"', 1)
     record.write_text(noted)
     assert cli.main(arguments) == 1 and record.read_text() == noted
+    record.write_text("{")  # an edit that was cut off
+    assert cli.main(arguments) == 1 and record.read_text() == "{"
     soup.write_bytes(b"damaged")
-    record.write_text("{")
-    assert cli.main(arguments) == 0, "what is damaged is made anew"
+    record.unlink()
+    assert cli.main(arguments) == 0, "a damaged soup is made anew"

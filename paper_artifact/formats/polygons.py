@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from struct import Struct
 
 import numpy as np
 
@@ -194,48 +195,67 @@ def _rows(
     """Return the columns of an element's rows, which begin at a byte of the data, and where they end.
 
     order: of bytes, "<" or ">"; "" for doubles that stand for numbers of any type. A list is the values of
-    all rows and their numbers. Rows whose lists are as long as the next one's are read as one table.
+    all rows and their numbers. Lengths are read row by row, unless all rows are as long as the first.
     """
 
     def stored(kind: str) -> np.dtype:
         return np.dtype(order + kind if order else "f8")
 
-    def held(end: int) -> int:
-        if end > len(data):
-            raise ValueError(f"cut off: it holds fewer {'bytes' if order else 'numbers'} than it declares")
-        return end
+    heads = [Struct((order or "=") + stored(size).char) if size else None for _, size, _ in columns]
+    limits = [np.iinfo(size).max if size else 1 for _, size, _ in columns]
+    widths = [stored(kind).itemsize for *_, kind in columns]
+    cut = ValueError(f"cut off: it holds fewer {'bytes' if order else 'numbers'} than it declares")
 
-    values: dict[str, list] = {name: [] for name, *_ in columns}
-    sizes = {name: [np.zeros(0, dtype=np.int64)] for name, size, _ in columns if size}
-    most = count
-    while columns and count:
-        layout: list[tuple] = []  # of the next row
-        lengths, end = {}, place
-        for name, size, kind in columns:
-            length = 1
-            if size:
-                start, end = end, held(end + stored(size).itemsize)
-                length = int(_of_type(np.frombuffer(data, stored(size), 1, start), size)[0])
-                if length < 0:
-                    raise ValueError(f"a list {name} with {length} values")
-                layout.append((f"length of {name}", stored(size)))
-                lengths[name] = length
-            end = held(end + length * stored(kind).itemsize)
-            layout.append((name, stored(kind), (length,)))
-        table = np.frombuffer(data, layout, min(count, most, (len(data) - place) // (end - place)), place)
-        alike = np.ones(len(table), dtype=bool)
-        for name, length in lengths.items():
-            alike &= table[f"length of {name}"] == length
-        table = table[: len(table) if alike.all() else int(alike.argmin())]
-        for name, _, kind in columns:
-            values[name].append(_of_type(table[name].reshape(-1), kind))
-        for name, length in lengths.items():
-            sizes[name].append(np.full(len(table), length))
-        place, count, most = place + len(table) * (end - place), count - len(table), 2 * len(table)
-    flat = {name: np.concatenate(each) if each else np.zeros(0) for name, each in values.items()}
-    return {
-        name: (each, np.concatenate(sizes[name])) if name in sizes else each for name, each in flat.items()
-    }, place
+    def walked(rows: int) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return each column's first byte and number of values, both (rows, columns), and the end."""
+        places, lengths, end = [], [], place
+        for _ in range(rows):
+            for (name, size, _), head, limit, width in zip(columns, heads, limits, widths, strict=True):
+                length = 1
+                if head is not None:
+                    if end + head.size > len(data):
+                        raise cut
+                    (length,) = head.unpack_from(data, end)
+                    if not (0 <= length <= limit and length % 1 == 0):
+                        _of_type(np.array([length]), size)
+                        raise ValueError(f"a list {name} with {length:g} values")
+                    end += head.size
+                places.append(end)
+                lengths.append(length)
+                end += int(length) * width
+            if end > len(data):
+                raise cut
+        shape = rows, len(columns)
+        return np.array(places, np.int64).reshape(shape), np.array(lengths).reshape(shape), end
+
+    if not columns or not count:
+        return {
+            name: (np.zeros(0), np.zeros(0, np.int64)) if size else np.zeros(0) for name, size, _ in columns
+        }, place
+    begins, lengths, end = walked(1)
+    alike = place + count * (end - place) <= len(data)
+    rows = np.arange(count if alike else 0)[:, None] * (end - place)
+    for head, begin, length in zip(heads, begins[0], lengths[0], strict=True):
+        if alike and head is not None:
+            found = _gathered(data, begin - head.size + rows, head.size).view(head.format)
+            alike = bool((found == length).all())
+    if alike:
+        begins, lengths, end = begins + rows, np.repeat(lengths, count, axis=0), place + count * (end - place)
+    else:
+        begins, lengths, end = walked(count)
+    result: dict = {}
+    for (name, size, kind), begin, length, width in zip(columns, begins.T, lengths.T, widths, strict=True):
+        number = _of_type(length, size or "i8").astype(np.int64)
+        within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+        values = _gathered(data, (np.repeat(begin, number) + width * within)[:, None], width)
+        values = _of_type(values.view(stored(kind)).reshape(-1), kind)
+        result[name] = (values, number) if size else values
+    return result, end
+
+
+def _gathered(data: bytes, begins: np.ndarray, width: int) -> np.ndarray:
+    """Return the `width` bytes from each of begins (n,1) on, (n,width) uint8."""
+    return np.frombuffer(data, np.uint8)[begins + np.arange(width)]
 
 
 def _of_type(values: np.ndarray, kind: str) -> np.ndarray:
