@@ -146,7 +146,9 @@ def _missing(rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
     for study, own in rows.groupby("study", sort=False):
         absent = own[own["run"].isna()]
         if len(absent):
-            arms = absent.groupby(["shape", "condition"], observed=True)["seed"].agg(list)
+            arms = absent.groupby(["shape", "condition"], observed=True)["seed"].agg(
+                lambda seeds: sorted({*seeds})
+            )
             text = ", ".join(f"{shape} {name} seeds {seeds}" for (shape, name), seeds in arms.items())
             yield str(study), f"{len(absent)} of {len(own)} runs are not recorded: {text}"
 

@@ -60,6 +60,7 @@ C1 = "train sphere --condition C1 --loss"
         ("sweep table1 --condition C9 --list", "has no condition C9; choose among C0"),
         ("sweep table1 --seed 99 --list", "has no seed 99; choose among 0"),
         ("sweep table1 --executor dask --list", "belong together; give both or neither"),
+        ("book --runs nowhere --out b", "--runs nowhere is no folder that can be read"),
         ("certify sphere --out a.ply", "--out has a meaning with --fill or --cut alone"),
         ("audit sphere --out out --densities 4", "--densities must be at least"),
         ("audit sphere --out out --seeds 0", "--seeds must be at least"),

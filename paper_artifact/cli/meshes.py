@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import dataclass
+from os.path import realpath
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -99,7 +100,7 @@ def _mended(options: Certify) -> Path:
         raise InputError(
             f"{out} is there already; --out {quoted(out)} replaces it, --out with another name keeps it"
         )
-    if out in (options.json, options.where):
+    if realpath(out) in [realpath(each) for each in (options.json, options.where) if each]:
         raise WrongUsage(f"the mended mesh is written to {out} too; give it another name with --out")
     return out
 
@@ -182,7 +183,7 @@ class AuditOptions(Options):
     """
 
     mesh: Positional[Source | None] = None
-    scene: Path | None = None
+    scene: Source | None = None
     out: Path | None = None
     seeds: Annotated[int, 1] = 1
     seed: Annotated[int, 0] = 0
@@ -255,7 +256,7 @@ def audit(options: AuditOptions) -> int:
             raise WrongUsage(
                 f"{unused[0]} belongs to the audit of a mesh; a soup or a cloud takes --scene alone"
             )
-        return propose(options.mesh, options.scene)
+        return propose(options.mesh, None if options.scene is None else Path(options.scene))
     if options.scene is not None:
         raise WrongUsage("--scene belongs to a soup (.npz) or stands alone; a mesh is audited whole")
     import matplotlib

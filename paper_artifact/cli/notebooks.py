@@ -117,7 +117,8 @@ def book(options: Book) -> int:
     from paper_artifact.book.main_result import PICTURE, main_runs, picture_svg
     from paper_artifact.claims import MISSING
 
-    if options.runs.exists() and not (options.runs.is_dir() and os.access(options.runs, os.R_OK)):
+    there = options.runs.exists() or options.runs != RESULTS / "runs"
+    if there and not (options.runs.is_dir() and os.access(options.runs, os.R_OK)):
         raise WrongUsage(
             f"--runs {options.runs} is no folder that can be read; give the folder of the records"
         )
