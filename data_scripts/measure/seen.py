@@ -20,7 +20,8 @@ import pandas as pd
 from common import options, write
 from scipy.spatial import cKDTree
 
-from paper_artifact.evaluate.image import SEEN_IN, views_that_show
+from paper_artifact.config import RunConfig
+from paper_artifact.evaluate.image import DRAWN, SEEN_IN, views_that_show
 from paper_artifact.evaluate.scores import evaluate_samples, make_target
 from paper_artifact.files import RESULTS
 from paper_artifact.mesh import Mesh, load_mesh
@@ -33,23 +34,22 @@ from paper_artifact.soup.state import load_soup
 
 CHOSEN_ON = ("sphere", "torus", "cube", "two_spheres", "spot")
 ARMS = {"choose": ("C0", "C1"), "study": ("C0", "C1", "C2"), "held_out": ("C0", "C1", "T3")}
-DRAWN = 8  # points drawn for each that is wanted
 DEEP = 0.01  # of the diagonal
 
 
-def inside(mesh: Mesh, points: np.ndarray) -> float:
-    """Return the part of points (n,3) that lies deeper than DEEP diagonals in a closed mesh, by the normals
-    of the nearest of 100,000 samples."""
+def lies_deep(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Return which points (n,3) lie deeper than DEEP diagonals in a closed mesh, by the normals of the
+    nearest of 100,000 samples."""
     nearest, face, _ = sample_surface(mesh.vertices, mesh.faces, 100_000, stream(0, "inside"))
     a, b, c = np.swapaxes(mesh.vertices[mesh.faces[face]], 0, 1)
     away, index = cKDTree(nearest).query(points)
     behind = ((points - nearest[index]) * np.cross(b - a, c - a)[index]).sum(1) < 0
-    return float((behind & (away > DEEP * mesh.diagonal)).mean())
+    return behind & (away > DEEP * mesh.diagonal)
 
 
-def rows_of(record: Path, views: tuple[int, ...]) -> list[dict]:
+def rows_of(record: Path, config: RunConfig, views: tuple[int, ...]) -> list[dict]:
     """Return the rows of one run."""
-    folder, config = record.parent.parent, config_of(read_record(record))
+    folder = record.parent.parent
     own = folder / config.shape if Path(config.shape).suffix else None
     mesh = find_mesh(config.shape) if own is None else load_mesh(folder / Path(config.shape).name)
     scene, target = prepare_scene(config, mesh, folder / "scenes"), make_target(mesh)
@@ -57,12 +57,13 @@ def rows_of(record: Path, views: tuple[int, ...]) -> list[dict]:
     draws = stream(0, "seen")
     points, triangles, _ = sample_soup(soup.vertices.numpy(), soup.corner_opacity(), DRAWN * wanted, draws)
     times = views_that_show(soup, scene, points, triangles)
-    rows = []
+    deep, rows = lies_deep(mesh, points), []
     for least in views:
-        kept = points[times >= least]
+        seen = times >= least
+        kept = points[seen]
         found = evaluate_samples(kept[:wanted], target)
         row = {"shape": Path(config.shape).stem, "arm": config.condition, "seed": config.seed, "views": least}
-        row |= {"share": len(kept) / len(points), "inside": inside(mesh, kept[:wanted])}
+        row |= {"share": len(kept) / len(points), "inside": deep[seen][:wanted].mean()}
         row |= {"truth": ",".join(map(str, target.counts)), "counts": ",".join(map(str, found["counts"]))}
         row |= {f"bottleneck_{k}": found["bottleneck"][k] for k in range(3)}
         rows.append(row | {"chamfer": found["chamfer"]})
@@ -80,5 +81,5 @@ if __name__ == "__main__":
         config = config_of(read_record(record))
         chosen = config.shape in CHOSEN_ON and config.seed == 0
         if config.condition in ARMS[given.table] and (chosen or not choosing):
-            found += rows_of(record, (0, 1, 2, 3, 5) if choosing else (0, SEEN_IN))
+            found += rows_of(record, config, (0, 1, 2, 3, 5) if choosing else (0, SEEN_IN))
             write(pd.DataFrame(found), given.out / f"seen_{given.table}.csv")
