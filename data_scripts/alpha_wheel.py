@@ -7,6 +7,7 @@ distances; torch, scikit-learn, matplotlib, gudhi for the names that use them). 
 uses all of numpy's part, in a fresh virtual environment with the pinned numpy, scipy and numba.
 """
 
+import argparse
 import re
 import shutil
 import subprocess
@@ -78,8 +79,10 @@ def made_and_tried(folder: Path) -> Path:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "alpha")
+    folder = parser.parse_args().folder
     with TemporaryDirectory() as made:
         wheel = made_and_tried(Path(made))
-        folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "build" / "alpha")
         folder.mkdir(parents=True, exist_ok=True)
         print(shutil.copy(wheel, folder))

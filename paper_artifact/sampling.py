@@ -32,7 +32,7 @@ def check_indices(vertices: Any, faces: Any, name: str) -> tuple[np.ndarray, np.
     if wrong.size:
         raise InputError(
             f"{name} has a face that refers to vertex {wrong[0]} of {len(vertices)}, counted from 0; the "
-            "file is damaged or cut off, export it again"
+            "mesh is damaged or cut off, export it again"
         )
     return vertices, faces
 

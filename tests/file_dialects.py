@@ -140,6 +140,7 @@ FILES: dict[str, dict[str, Any]] = {
         "text": STL_TEXT,
         "text, capitals, tabs, Windows line ends": STL_TEXT.upper().replace(" ", "\t").replace("\n", "\r\n"),
         "text, UTF-16": STL_TEXT.encode("utf-16"),
+        "text, 'end solid'": STL_TEXT.replace("end", "end "),
         "text after a comment": "# made by hand\n" + STL_TEXT,
         "text, several solids": STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1),
         "text cut off": (STL_TEXT[:-60], "cut off before its 'endsolid'"),

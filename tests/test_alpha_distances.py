@@ -177,6 +177,7 @@ def test_a_plot_shows_every_bar():
     diagrams = alpha_persistence(cloud(), infinite=True)
     axes = plot_diagram(diagrams, plt.figure().subplots())
     assert [len(each.get_offsets()) for each in axes.collections] == [len(each) for each in diagrams]
+    assert plot_diagram([], plt.figure().subplots()).get_legend() is None
     for wrong in (diagrams[1], None, 3):
         with pytest.raises(InputError, match="give a list of diagrams"):
             plot_diagram(wrong)

@@ -80,6 +80,9 @@ def test_export_writes_every_format(soup_file, tmp_path, command):
     assert (pixels[0, 0] == 255).all()
     mesh = trimesh.load_mesh(out / "sphere-C0-s0.ply", process=False)
     assert len(mesh.faces) == 1280 and "ground truth" in (out / "sphere-C0-s0.html").read_text()
+    command(f"export {soup_file} --out {out} --formats png --views 1 --size 48")  # one view is gone now
+    assert sorted(path.name for path in out.glob("*1.png")) == []
+    assert len([*out.glob("[!.]*")]) == len(kinds) - 1
 
 
 @pytest.fixture()

@@ -147,6 +147,7 @@ def rewritten(path, **changes) -> None:
         ({"vertices": np.float32(1)}, "does not hold a soup"),
         ({"opacity": np.zeros((39, 3))}, "does not hold a soup"),
         ({"features": np.array(["a", "b"])}, "not a readable soup"),
+        ({"opacity": np.ones((40, 3), complex)}, "not a readable soup"),
         ({"features": np.full((40, 3, 7), np.nan)}, "not finite"),
         (0, "soup.npz is not a readable soup"),
         (10, "soup.npz is not a readable soup"),

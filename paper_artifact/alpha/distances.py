@@ -285,5 +285,6 @@ def plot_diagram(diagrams: Any, axes: Any = None) -> Any:
     if any(np.isinf(each).any() for each in arrays):
         axes.axhline(top, color="0.6", linewidth=0.8, linestyle="--")
     axes.set(xlabel="birth", ylabel="death", aspect="equal")
-    axes.legend()
+    if arrays:
+        axes.legend()
     return axes

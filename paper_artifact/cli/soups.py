@@ -210,8 +210,8 @@ def exported(options: Export) -> list[Path]:
                 f"--target {options.target} would be lost: --out gets a file of this name; give another"
             )
     models = {"ply": write_ply, "glb": write_glb}
-    files: dict[str, Callable[[Path], None]] = {
-        kind: partial(write, triangles=triangles, frame=frame)
+    files: dict[str, dict[str, Callable[[Path], None]]] = {  # of each kind, by what follows the soup's name
+        kind: {kind: partial(write, triangles=triangles, frame=frame)}
         for kind, write in models.items()
         if kind in options.formats
     }
@@ -220,21 +220,24 @@ def exported(options: Export) -> list[Path]:
         if options.target is not None:
             parts["ground truth"] = mesh_triangles(find_mesh(options.target).framed(frame))
         viewpoint = _viewpoint(options, triangles, settings)
-        files["html"] = lambda path: write_text(path, html_page(parts, file.stem, viewpoint))
+        files["html"] = {"html": lambda path: write_text(path, html_page(parts, file.stem, viewpoint))}
     if "png" in options.formats:
         if options.scene is None:
             rows = [orbit_renders(soup, options.views, options.size)]
         else:
             rows = scene_renders(soup, load_scene(options.scene, **settings), frame)
         images = {f"view{index}.png": image for index, image in enumerate(rows[-1])}
-        for name, image in (images | {"views.png": sheet(rows)}).items():
-            files[name] = partial(write_png, image=image)
+        images["views.png"] = sheet(rows)
+        files["png"] = {name: partial(write_png, image=image) for name, image in images.items()}
     place = sha256(str(file.resolve()).encode("utf-8", "surrogateescape")).hexdigest()[:12]
-    for kind, write in files.items():
-        name = f"{file.stem}.{kind}"
-        with renewed_folder(options.out, f"export of {name} from {place}", [name]) as new:
-            write(new / name)
-    return [options.out / f"{file.stem}.{kind}" for kind in files]
+    made: list[Path] = []
+    for kind, writers in files.items():
+        named = {f"{file.stem}.{name}": write for name, write in writers.items()}
+        with renewed_folder(options.out, f"export of {file.stem}.{kind} from {place}", [*named]) as new:
+            for name, write in named.items():
+                write(new / name)
+        made += [options.out / name for name in named]
+    return made
 
 
 def _viewpoint(options: Export, triangles: Triangles, settings: dict[str, Any]) -> Viewpoint:

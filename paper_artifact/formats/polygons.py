@@ -102,9 +102,9 @@ def read_stl(data: bytes) -> Triangles:
     count = int.from_bytes(data[80:84], "little")
     text = "" if len(data) == 84 + 50 * count else decoded(data).lower()
     if "\0" not in text and ("facet" in text or (len(data) < 84 and text.lstrip().startswith("solid"))):
-        pattern = r"^\s*(?:((?:end)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
+        pattern = r"^\s*(?:((?:end[ \t]*)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
         found = re.findall(pattern, text, re.MULTILINE)
-        words = [word or "vertex" for word, *_ in found]
+        words = ["".join(word.split()) or "vertex" for word, *_ in found]
         facets, vertices = words.count("facet"), [each for word, *each in found if not word]
         if words.count("endsolid") < max(1, words.count("solid")) or words.count("endfacet") != facets:
             raise ValueError("cut off before its 'endsolid'")

@@ -130,7 +130,7 @@ def load_soup(path: Path | str) -> Soup:
         data = load_npz(path)
         names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
         with np.errstate(over="ignore", invalid="ignore"):
-            tensors = [torch.from_numpy(data[name].astype(np.float32)) for name in names]
+            tensors = [torch.from_numpy(data[name].astype(np.float32, casting="same_kind")) for name in names]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in tensors]
