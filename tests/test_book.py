@@ -96,6 +96,7 @@ def test_all_28_items_have_the_verdict_of_their_claims(book):
         outcome = {(True, False): "agrees", (True, True): "partly", (False, True): "differs"}
         due = outcome[(said == "yes").any(), (said == "no").any()]
         assert each.word == table.loc[each.name, "verdict"] == due
+        assert bool(each.reason) == (due != "agrees"), each.name
         assert f'href="items.html#{each.key}"' in front
         assert all((NOTEBOOKS / f"{name}.ipynb").is_file() for name in each.notebooks)
 

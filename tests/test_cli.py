@@ -288,10 +288,11 @@ def test_an_interrupt_that_a_library_turns_into_another_error_is_one(monkeypatch
         ("NUMBA_NUM_THREADS", "0", 2, "NUMBA_NUM_THREADS is 0; unset it, or set it to 1 or more"),
         ("PAPER_ARTIFACT_MIRROR", "~nobodyx/meshes", 1, "the mirror ~nobodyx/meshes is no folder"),
         ("MPLBACKEND", "Qt4Agg", 0, ""),
+        ("TQDM_NCOLS", "wide", 0, ""),
     ],
 )
 def test_odd_variables_are_a_sentence_or_nothing(name, value, code, words, tmp_path, monkeypatch, command):
     monkeypatch.setenv(name, value)
     line = f"fetch cow --out={tmp_path}" if code == 1 else "certify torus"
     assert words in command(line, code=code).err
-    assert os.environ.get("MPLBACKEND") is None
+    assert not {"MPLBACKEND", "TQDM_NCOLS"} & {*os.environ}

@@ -63,6 +63,7 @@ class Item:
     title: str
     notebooks: tuple[str, ...]  # where it is, the main one first
     compared: str  # what is compared and by which rule
+    reason: str  # why claims differ, "" where none does
     claims: pd.DataFrame  # columns of `claims.read_claims`
 
     @property
@@ -180,15 +181,16 @@ def items(claims: pd.DataFrame) -> list[Item]:
         raise InputError(f"there is no items.csv in {PUBLISHED}; work in a checkout") from error
     own = {name: claims[claims["item"] == name] for name in table["item"]}
     return [
-        Item(row.item, row.title, tuple(row.notebooks.split()), row.compared, own[row.item])
+        Item(row.item, row.title, tuple(row.notebooks.split()), row.compared, row.reason, own[row.item])
         for row in table.itertuples()
     ]
 
 
 def _item_frame(found: Sequence[Item]) -> pd.DataFrame:
-    """Return one row per item: item, title, verdict, holds ("12 of 15"), notebooks, compared."""
-    rows = [(i.name, i.title, i.word, i.tally, " ".join(i.notebooks), i.compared) for i in found]
-    return pd.DataFrame(rows, columns=["item", "title", "verdict", "holds", "notebooks", "compared"])
+    """Return one row per item: item, title, verdict, holds ("12 of 15"), notebooks, compared, reason."""
+    rows = [(i.name, i.title, i.word, i.tally, " ".join(i.notebooks), i.compared, i.reason) for i in found]
+    columns = ["item", "title", "verdict", "holds", "notebooks", "compared", "reason"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def csv_text(frame: pd.DataFrame) -> str:

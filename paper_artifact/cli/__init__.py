@@ -125,7 +125,9 @@ def _run(argv: list[str], asked: str | None) -> int:
         raise InputError("the current folder was deleted; change to one that exists") from error
     if sys.flags.optimize > 1:
         raise WrongUsage("python -OO removes the texts that the options are read from; leave -OO out")
-    os.environ.pop("MPLBACKEND", None)  # no verb opens a window, and one of another time ends in a trace
+    for name in [*os.environ]:  # kind of window, look of bars: a value that cannot be read ends in a trace
+        if name == "MPLBACKEND" or name.startswith("TQDM_"):
+            del os.environ[name]
     threads = os.environ.get("NUMBA_NUM_THREADS", "1").strip()
     if threads.lstrip("+-").isdecimal() and int(threads) < 1:
         raise WrongUsage(f"NUMBA_NUM_THREADS is {threads}; unset it, or set it to 1 or more")

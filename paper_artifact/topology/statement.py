@@ -41,8 +41,8 @@ NAMES = (("component", "components"), ("loop", "loops"), ("void", "voids"))
 # takes for seen must exceed this fraction of the floor to be called seen.
 NOISE_LEVEL = 0.5
 # Floors: a bar beyond the stated ones that is longer contradicts the statement. Asked when the loss sets in
-# and at every tenth refresh, it meets 19 of the study's 20 runs that state too few classes and 3 of its 344
-# true statements; asked once, 14 and none; a threshold of .5: 20 and 37 (notebook 16).
+# and at every tenth refresh, it meets 19 of the study's 20 runs that state too few classes and 3 of its 397
+# true statements; asked once, 14 and none; a threshold of .5: 20 and 44 (notebook 16; chosen on these runs).
 SURPLUS = 0.7
 # Percentiles of a cloud's coordinates between which the frame lies: SfM clouds have outliers.
 BOX = (1.0, 99.0)
