@@ -261,8 +261,7 @@ def run(
     bundle = subject.given.bundle or make_run_bundle(config, subject.given.mesh)
     path = record_path(config, results / "runs")
     check_writable(path)
-    if again:
-        check_unedited(path)
+    check_unedited(path)
     checkpoint = results / "checkpoints" / f"{path.stem}-{subject.content()[:8]}.pt"
     with alone(checkpoint, tell):
         if not again and (found := recorded_path(config, results / "runs")) is not None:  # meanwhile

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
@@ -202,8 +203,9 @@ def separate(name: str, uri: str, there: bool = True) -> Feature:
         document = made.document()
         if there:
             (folder / "my cube.bin").write_bytes(made.data)
-        inline = "data:application/octet-stream;base64," + base64.b64encode(made.data).decode()
-        document["buffers"] = [{"byteLength": len(made.data), "uri": inline if uri == "data" else uri}]
+        inline = "application/octet-stream;base64," + base64.b64encode(made.data).decode()
+        uris = {"data": f"data:{inline}", "quoted": f"DATA:{quote(inline, safe=';,')}"}
+        document["buffers"] = [{"byteLength": len(made.data), "uri": uris.get(uri, uri)}]
         (folder / "cube.gltf").write_text(json.dumps(document))
         return folder / "cube.gltf"
 
@@ -288,6 +290,7 @@ FEATURES: list[Feature] = [
     ),
     separate("buffer in a file, %20 in its name", "my%20cube.bin"),
     separate("buffer in a data URI", "data"),
+    separate("buffer in a data URI with escapes", "quoted"),
     separate("missing buffer", "gone.bin", there=False),
     *(
         Feature(kind, name, written(each[0], f"cube.{kind.lower()}"), *each[1:])

@@ -77,6 +77,15 @@ def test_a_cavitys_handle_is_the_airs_hole():
     assert big.radius == pytest.approx(2, rel=0.02)
 
 
+def test_of_bodies_side_by_side_each_may_be_wound_inwards():
+    mesh = make_shape("torus")
+    beside = joined(
+        Mesh(mesh.vertices, mesh.faces[:, ::-1], ""), Mesh(mesh.vertices + (3, 0, 0), mesh.faces, "")
+    )
+    for kind in ("handle", "hole"):
+        assert lengths(beside, kind) == pytest.approx(2 * lengths(mesh, kind))
+
+
 @pytest.mark.parametrize("name, genus", [("torus", 1), ("double_torus", 2)])
 def test_each_handle_is_cut_and_each_hole_filled(name, genus):
     mesh = make_shape(name)
@@ -130,7 +139,7 @@ def test_the_command_marks_fills_and_cuts(tmp_path, command):
 @pytest.mark.parametrize(
     "wish, code, said",
     [
-        ("torus --fill 2", 1, "has 1 holes, so none of number 2"),
+        ("torus --fill 2", 1, "1 holes of torus were found, none of number 2"),
         ("bowl_wide --where w.html", 1, "is no closed certified surface"),
         ("torus --where w.png", 2, "--where writes .html or .ply"),
         ("torus --fill 1 --cut 1", 2, "one at a time"),

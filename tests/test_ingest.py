@@ -2,6 +2,7 @@
 teapot. What becomes of the pot: notebook 11, whose outputs are compared."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,10 +44,12 @@ def test_distances_to_flat_triangles_are_those_to_their_edges():
     np.testing.assert_allclose(values.reshape(-1), np.minimum(*away).clip(max=1), atol=1e-6)
 
 
-def test_a_sphere_grows_by_the_offset():
-    ball = raw(*shapes.ball())
-    solid = solidify(ball, offset=0.05, cells=2)
-    radii = np.linalg.norm(solid.shell.vertices, axis=1)
+@pytest.mark.parametrize("scale", (1.0, 1e-25))
+def test_a_sphere_grows_by_the_offset(scale):
+    vertices, faces = shapes.ball()
+    solid = solidify(raw(scale * vertices, faces), offset=0.05, cells=2)
+    solid = replace(solid, offset=solid.offset / scale, cell=solid.cell / scale)
+    radii = np.linalg.norm(solid.shell.vertices, axis=1) / scale
     assert solid.certificate.passed and solid.certificate.betti == (1, 0, 1)
     assert solid.shell.betti == (1, 0, 1)
     assert solid.pockets == 1, "the inside of the sphere is a pocket"
@@ -145,6 +148,12 @@ def test_a_shell_that_fails_is_not_written(tmp_path):
 def test_bad_sizes_are_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         solidify(raw(*shapes.ball()), **arguments)
+
+
+def test_what_is_too_small_for_float32_is_refused():
+    vertices, faces = shapes.ball()
+    with pytest.raises(InputError, match="too small for float32 points; scale raw up"):
+        solidify(raw(1e-60 * vertices, faces))
 
 
 def test_the_teapot_becomes_one_closed_body_with_its_handle(tmp_path, capsys):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.record.store import (
+    check_unedited,
     config_hash,
     config_of,
     make_record,
@@ -21,6 +22,8 @@ from paper_artifact.record.store import (
     unpack,
     write_record,
 )
+from paper_artifact.soup.initialise import initial_soup
+from paper_artifact.soup.state import save_soup
 
 CONFIG = study_config("torus", "C1", 3)
 
@@ -136,3 +139,35 @@ def test_make_record_refuses_what_it_cannot_hold():
         example(topology={1, 2})
     with pytest.raises(InputError, match="must not start"):
         example(topology={"#same": 1})
+
+
+def labelled(soup):
+    np.savez(soup, **np.load(soup), my_labels=np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda record, soup: changed(record, lambda mine: mine.update(schema="mine")),
+        lambda record, soup: changed(record, lambda mine: mine.update(version=1)),
+        lambda record, soup: changed(record, lambda mine: mine["config"].update(my_note="the best one")),
+        lambda record, soup: record.write_text("{"),
+        lambda record, soup: np.savez(soup, my_vertices=np.eye(3)),
+        lambda record, soup: (record.unlink(), labelled(soup)),
+        lambda record, soup: (record.unlink(), np.savez(soup, my_vertices=np.eye(3))),
+    ],
+)
+def test_what_a_user_changed_is_not_replaced(tmp_path, change):
+    record = write_record(example(), tmp_path / "runs")
+    soup = tmp_path / "soups" / f"{record.stem}.npz"
+    save_soup(soup, initial_soup(np.eye(9, 3, dtype=np.float32), 8, 0))
+    check_unedited(record)
+    change(record, soup)
+    with pytest.raises(InputError, match="was changed, or another version wrote it, and would be replaced"):
+        check_unedited(record)
+
+
+def test_a_soup_whose_record_was_not_written_is_replaced(tmp_path):
+    record = record_path(CONFIG, tmp_path / "runs")
+    save_soup(tmp_path / "soups" / f"{record.stem}.npz", initial_soup(np.eye(9, 3, dtype=np.float32), 8, 0))
+    check_unedited(record)  # a run was ended in between

@@ -156,7 +156,9 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     if asked is not None:
         kind, number = asked
         if number > len(of_kind[kind]):
-            raise InputError(f"{mesh.name} has {len(of_kind[kind])} {kind}s, so none of number {number}")
+            raise InputError(
+                f"{len(of_kind[kind])} {kind}s of {mesh.name} were found, none of number {number}"
+            )
         out = _mended(options)
         written = write_shell(out, cut_and_capped(mesh, of_kind[kind][number - 1]))
         print(f"{out}: {verdict_text(written)}, {written.kind}, {betti_text(written.betti)}")

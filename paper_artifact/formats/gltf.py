@@ -304,9 +304,11 @@ class _Reader:
             if index or self.chunk is None:
                 raise ValueError(f"buffer {index} has no data")
             data = self.chunk
-        elif uri.startswith("data:"):
+        elif uri[:5].lower() == "data:":
             head, _, body = uri.partition(",")
-            data = base64.b64decode(body) if head.endswith("base64") else unquote_to_bytes(body)
+            data = unquote_to_bytes(body)
+            if head.lower().endswith(";base64"):
+                data = base64.b64decode(b"".join(data.split()), validate=True)
         else:
             file = find_file(self.path.parent, uri)
             if file is None:

@@ -177,13 +177,14 @@ def linking_number(first: np.ndarray, second: np.ndarray) -> float:
 def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tuple[Loop, ...]:
     """Return the loops around all handles, then those around all holes of a welded Mesh, each shortest first.
 
-    The mesh must be closed, orientable and a manifold, as a certificate says, and wound outwards; a mesh that
-    is wound inwards as a whole is taken as if it were not. Raises InputError where inside and outside cannot
-    be told apart, as in a surface that crosses itself, and for a component of more than MOST_HANDLES handles.
+    The mesh must be closed, orientable and a manifold, as a certificate says. A component that lies in no
+    other is a body however it is wound; one that lies in a body is a cavity where it is wound the other way.
+    Raises InputError where inside and outside cannot be told apart, as in a surface that crosses itself, and
+    for a component of more than MOST_HANDLES handles.
     """
     stage = progress or (lambda name: None)
     labels, volumes = _components(mesh)
-    outward = 1.0 if volumes[np.abs(volumes).argmax()] > 0 else -1.0
+    outward = _outward(mesh, labels, volumes)
     found: list[Loop] = []
     for label in range(len(volumes)):
         own = np.flatnonzero(labels == label)
@@ -197,7 +198,7 @@ def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tup
             )
         stage(f"loops of component {label + 1} of {len(volumes)}, {genus} handles")
         surface = _Surface(mesh.vertices[own], faces)
-        for kind, vertices in _loops_of(surface, outward):
+        for kind, vertices in _loops_of(surface, outward[label]):
             found.append(Loop(kind, own[vertices], surface.length_of(vertices)))
     return tuple(sorted(found, key=lambda each: (each.kind != HANDLE, each.length)))
 
@@ -209,6 +210,22 @@ def _components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     a, b, c = ((mesh.vertices - mesh.centre)[mesh.faces[:, i]] for i in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     return labels, np.bincount(labels[mesh.faces[:, 0]], weights=volumes)
+
+
+def _outward(mesh: Mesh, labels: np.ndarray, volumes: np.ndarray) -> np.ndarray:
+    """Return for each component (C,) whether the outermost one that it lies in, or itself, is wound outwards
+    (1.0) or inwards (-1.0): the solid angle of each other component is asked at one of its vertices."""
+    owner = labels[mesh.faces[:, 0]]
+    around = np.eye(len(volumes), dtype=bool)
+    for label in range(len(volumes)) if len(volumes) > 1 else ():
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices[np.argmax(labels == label)], 1, 0)
+        x, y, z = (np.linalg.norm(each, axis=1) for each in (a, b, c))
+        ab, bc, ca = (np.einsum("ij,ij->i", *each) for each in ((a, b), (b, c), (c, a)))
+        half = np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), x * y * z + ab * z + bc * x + ca * y)
+        angles = np.bincount(owner, weights=half, minlength=len(volumes))  # van Oosterom and Strackee 1983
+        around[label] |= (np.abs(angles) > np.pi) & (np.arange(len(volumes)) != label)
+    outermost = np.where(around, np.abs(volumes), 0.0).argmax(axis=1)
+    return np.where(volumes[outermost] > 0, 1.0, -1.0)
 
 
 def _loops_of(surface: _Surface, outward: float) -> list[tuple[str, np.ndarray]]:

@@ -155,11 +155,17 @@ def outer_surface(mesh: Mesh, offset: float, cells: float) -> tuple[Rung, Mesh]:
             f"cells of {cell:.3g} are too small beside the coordinates of {mesh.name}, up to {farthest:.3g}, "
             "for the shell's float32 points; move it to the origin, or take a larger offset or fewer cells"
         )
+    if cell < 2.0**-110:
+        raise InputError(f"cells of {cell:.3g} are too small for float32 points; scale {mesh.name} up")
     distances, origin = distance_grid(vertices, faces, cell, epsilon + 2 * cell)
     near = distances <= np.float32(epsilon)
     values, pockets = without_pockets(distances, epsilon, NUDGE * cell)
     filled = values < np.float32(epsilon)
-    points, triangles, inwards, _ = marching_cubes(values, np.float32(epsilon), gradient_direction="descent")
+    # marching_cubes adds 2e-16 to each difference of values: tiny ones are scaled up by a power of two.
+    unit = np.float32(min(1.0, np.ldexp(1.0, int(np.frexp(epsilon)[1]) + 30)))
+    points, triangles, inwards, _ = marching_cubes(
+        values / unit, np.float32(epsilon) / unit, gradient_direction="descent"
+    )
     label = labels_of_graph(triangles[:, [0, 1]].reshape(-1), triangles[:, [1, 2]].reshape(-1), len(points))
     deep = np.rint(points + DEEP * epsilon / cell * inwards).astype(int)
     walled = filled[tuple(np.clip(deep, 0, np.array(values.shape) - 1).T)]

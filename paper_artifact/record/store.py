@@ -38,6 +38,7 @@ REQUIRED = ("config", "config_hash", "defaults", "digest", "dumps", "host", "pac
 DIGITS = 7
 HASH_DIGITS = 12
 ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
+REPLACED = "was changed, or another version wrote it, and would be replaced; move it elsewhere"
 LOSS_POINTS = 250  # a trajectory of 2,500 steps is kept at every tenth
 
 
@@ -194,20 +195,19 @@ def read_record(path: Path | str) -> dict:
 
 
 def check_unedited(path: Path) -> None:
-    """Raise InputError where the record at `path`, or its soup (from 0.3.0 on), was changed since it was
-    written, cut off by an editor too: a run made again would replace it."""
-    from paper_artifact.soup.state import load_soup  # with torch: only where a run is made again
+    """Raise InputError where the record at `path`, or its soup, is not as this version wrote it: a run would
+    replace it."""
+    from paper_artifact.soup.state import load_soup, signed  # with torch: only where a run is made
 
     soup = path.parent.parent / "soups" / f"{path.stem}.npz"
-    for file, read, sign in ((path, read_record, "delete it"), (soup, load_soup, "is not the soup of")):
+    for file, read in ((path, read_record), (soup, load_soup)):
         try:
             if file.is_file():
                 read(file)
         except InputError as error:
-            if sign in str(error):
-                raise InputError(
-                    f"{file} was changed since it was written, and would be replaced; move it elsewhere"
-                ) from error
+            raise InputError(f"{file} {REPLACED}") from error
+    if soup.is_file() and not path.is_file() and not signed(soup):  # no record speaks of it
+        raise InputError(f"{soup} {REPLACED}")
 
 
 def _thinned(losses: Mapping[str, Any]) -> dict:

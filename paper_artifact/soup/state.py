@@ -26,6 +26,8 @@ from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArray
 from paper_artifact.raster.view import ViewRaster, make_camera
 from paper_artifact.scene.load import Scene
 
+SIGNATURE = "sha256"  # a file's array: the digest of its others
+
 
 @dataclass(frozen=True)
 class Soup:
@@ -107,14 +109,21 @@ def save_soup(path: Path | str, soup: Soup, frame: Frame = SAME) -> str:
     arrays: dict[str, Any] = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
     if frame != SAME:
         arrays |= {"offset": np.array(frame.offset), "exponent": np.array(frame.exponent)}
-    write_npz(path, arrays)
-    return _digest(arrays)
+    digest = _digest(arrays)
+    write_npz(path, arrays | {SIGNATURE: np.array(digest)})
+    return digest
+
+
+def signed(path: Path | str) -> bool:
+    """Return whether the soup file at `path` is as `save_soup` wrote it. Raises as `load_npz` does."""
+    arrays = load_npz(path)
+    return str(arrays.get(SIGNATURE)) == _digest(arrays)
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the SHA-256 of the arrays, by name, as little-endian numbers."""
+    """Return the SHA-256 of the arrays but SIGNATURE, by name, as little-endian numbers."""
     state = hashlib.sha256()
-    for name, array in sorted(arrays.items()):
+    for name, array in sorted((name, array) for name, array in arrays.items() if name != SIGNATURE):
         state.update(f"{name} {array.dtype.name} {array.shape}".encode())
         state.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
     return state.hexdigest()
