@@ -128,6 +128,8 @@ def test_the_command_marks_fills_and_cuts(tmp_path, command):
     trimesh.Trimesh(ring.vertices, ring.faces, process=False).export(tmp_path / "t.obj")
     command(f"certify {tmp_path}/t.obj --where {page} --quiet")
     assert '"up":[0.0,1.0,0.0]' in page.read_text()
+    trimesh.Trimesh(1e-20 * ring.vertices, ring.faces, process=False).export(tmp_path / "tiny.obj", digits=30)
+    command(f"certify {tmp_path}/tiny.obj --where {page} --quiet")
     kinds = [each["kind"] for each in json.loads(found.read_text())["where"]]
     assert kinds == ["handle", "hole", "void"]
     for wish in ("--fill 1", f"--cut 1 --where {tmp_path}/w.ply"):
@@ -151,6 +153,13 @@ def test_wrong_wishes_are_one_sentence(wish, code, said, tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     assert said in command(f"certify {wish} --quiet", code=code).err
     assert not list(tmp_path.iterdir())
+
+
+def test_what_float32_cannot_hold_is_not_cut():
+    mesh = make_shape("torus")
+    far = Mesh(mesh.vertices + 1e7, mesh.faces, "far")
+    with pytest.raises(InputError, match="far lies too far from the origin, up to 1e[+]07, for the float32"):
+        cut_and_capped(far, find_loops(far)[0])
 
 
 def test_more_handles_than_can_be_looked_for_are_refused(monkeypatch):

@@ -80,8 +80,9 @@ def view_parts(mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOU
         if len(mark.line):
             tubes.append(plain_triangles(_tube(mark.line, THICKNESS * mesh.diagonal), colour))
         if mark.dimension == 2:
-            ball = trimesh.creation.icosphere(subdivisions=3, radius=0.97 * mark.radius)
-            balls.append(plain_triangles((ball.vertices + mark.centre)[ball.faces], colour))
+            ball = trimesh.creation.icosphere(subdivisions=3)
+            placed = 0.97 * mark.radius * ball.vertices + mark.centre
+            balls.append(plain_triangles(placed[ball.faces], colour))
     middle = surface.vertices.mean(axis=1, keepdims=True)
     shrunk = middle + SHRUNK * (surface.vertices - middle)
     parts = {"on the mesh": _joined([surface, *tubes])} if tubes else {"mesh": surface}
@@ -93,8 +94,8 @@ def _tube(line: np.ndarray, radius: float) -> np.ndarray:
     triangles = []
     for start, end in zip(line[:-1], line[1:], strict=True):
         if np.linalg.norm(end - start) > 0:
-            tube = trimesh.creation.cylinder(radius, segment=[start, end], sections=6)
-            triangles.append(np.asarray(tube.vertices)[tube.faces])
+            tube = trimesh.creation.cylinder(1.0, segment=[start / radius, end / radius], sections=6)
+            triangles.append(radius * np.asarray(tube.vertices)[tube.faces])  # trimesh: nothing below 1e-12
     return np.concatenate(triangles) if triangles else np.zeros((0, 3, 3))
 
 

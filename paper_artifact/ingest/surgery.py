@@ -27,8 +27,15 @@ def cut_and_capped(mesh: Mesh, loop: Loop) -> Mesh:
     """Return the Mesh without the triangles along a loop, both rims closed by discs; float32 vertices.
 
     That cuts a handle, and fills a hole by a plate as thick as the triangles are wide. Raises InputError
-    where a disc would cross the surface, as in a hole that is knotted or that something passes through.
+    where a disc would cross the surface, as in a hole that is knotted or that something passes through, and
+    so far from the origin that float32 rounds by more than a tenth of the loop's edges.
     """
+    farthest = float(np.abs(mesh.vertices).max())
+    if farthest * np.finfo(np.float32).eps > 0.1 * loop.length / len(loop.vertices):
+        raise InputError(
+            f"{mesh.name} lies too far from the origin, up to {farthest:.3g}, for the float32 points of what "
+            "is written; move it there"
+        )
     vertices, faces, path = mesh.vertices, mesh.faces, loop.vertices
     band = path
     for _ in range(ATTEMPTS):
