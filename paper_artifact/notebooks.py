@@ -140,6 +140,10 @@ def execute(
                 )
             except PapermillExecutionError as caught:
                 failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
+            else:  # papermill takes exit() for an end
+                results = [each for cell in notebook.cells for each in cell.get("outputs", [])]
+                if any(each.get("ename") == "SystemExit" for each in results):
+                    failure = "a cell ended the program (SystemExit); take exit() out of it"
         if refresh and not failure and path.read_bytes() != before:
             failure = "it was changed while it ran, and is left as it is; refresh it again"
         elif refresh and not failure:

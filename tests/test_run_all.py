@@ -76,12 +76,15 @@ def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
     capsys.readouterr()
 
 
-def test_refresh_leaves_a_failing_notebook_alone(tmp_path):
-    path = write_notebook(tmp_path / "01_bad.ipynb", "1 / 0")
+@pytest.mark.parametrize(
+    "code, error", [("1 / 0", "cell 3: ZeroDivisionError"), ("import sys; sys.exit(0)", "a cell ended the")]
+)
+def test_refresh_leaves_a_failing_notebook_alone(tmp_path, code, error):
+    path = write_notebook(tmp_path / "01_bad.ipynb", code, "print(2)")
     before = path.read_bytes()
     outcome = executed(path, refresh=True)
     assert path.read_bytes() == before
-    assert outcome.error.startswith("cell 3: ZeroDivisionError")
+    assert outcome.error.startswith(error)
 
 
 def test_refresh_leaves_what_was_edited_meanwhile(tmp_path):
