@@ -20,6 +20,7 @@ from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.config import parse_changes
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.diagram import measure
+from paper_artifact.frame import SAME
 from paper_artifact.mesh import Mesh, checked_mesh
 from paper_artifact.pipeline import make_run_bundle
 from paper_artifact.randomness import stream
@@ -211,7 +212,7 @@ def test_marks_lie_on_what_they_mark():
     assert len(void.line) == 0 and np.hypot(*void.centre[:2]) == pytest.approx(1.0, abs=0.1)
     tree_distance = np.linalg.norm(points - void.centre, axis=1).min()
     assert tree_distance == pytest.approx(void.radius, rel=1e-6)
-    on, through = view_parts(torus, marks).values()
+    on, through = view_parts(torus, marks, SAME).values()
     assert len(torus.faces) < len(on) < len(through)
     pair = find_marks(np.concatenate([points, points + (9.0, 0, 0)]), 6 * spacing, (1, 4, 2))
     assert pair[0].dimension == 0 and np.ptp(pair[0].line[:, 0]) > 5

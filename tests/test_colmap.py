@@ -77,6 +77,12 @@ def test_text_as_colmap_writes_it(tmp_path):
     assert (model.camera(3).focal_x, model.camera(3).focal_y, model.camera(7).focal_y) == (50, 50, 501.5)
 
 
+def test_names_of_numbers_are_no_observations(tmp_path):
+    lines = "".join(f"{n} 1 0 0 0 1 2 3 2 {n} of 4\n" for n in range(1, 5))
+    model = read_model(write_text(tmp_path, images_txt=lines))
+    assert [pose.name for pose in model.images.values()] == [f"{n} of 4" for n in range(1, 5)]
+
+
 def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 640, 480, 500, 501, 320, 240))
     pose = struct.pack("<QI7dI", 1, 5, 1, 0, 0, 0, 1, 2, 3, 1)

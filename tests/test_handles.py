@@ -5,9 +5,12 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
+from paper_artifact.audit.marks import view_parts
 from paper_artifact.certify.certificate import certify_mesh
 from paper_artifact.errors import InputError
+from paper_artifact.frame import frame_for
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.ingest.handles import find_loops, find_voids
 from paper_artifact.ingest.solidify import write_shell
@@ -155,11 +158,18 @@ def test_wrong_wishes_are_one_sentence(wish, code, said, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
-def test_what_float32_cannot_hold_is_not_cut():
+@pytest.mark.parametrize("ending", (".ply", ".obj"))
+@pytest.mark.parametrize("scale, aside", [(1.0, 1e8), (1e-20, 0.0)])
+def test_a_mesh_far_away_or_tiny_is_cut_where_it_is(scale, aside, ending, tmp_path):
     mesh = make_shape("torus")
-    far = Mesh(mesh.vertices + 1e7, mesh.faces, "far")
-    with pytest.raises(InputError, match="far lies too far from the origin, up to 1e[+]07, for the float32"):
-        cut_and_capped(far, find_loops(far)[0])
+    far = Mesh(scale * mesh.vertices + aside, mesh.faces, "far")
+    cut = cut_and_capped(far, find_loops(far)[0])
+    assert write_shell(tmp_path / f"cut{ending}", cut).genus == 0
+    again = load_mesh(tmp_path / f"cut{ending}").vertices
+    distances, _ = cKDTree(far.vertices / scale).query(again / scale)
+    assert np.quantile(distances, 0.9) < 1e-7 and len(again) > 10_000
+    shown = view_parts(far, (), frame_for(far.centre, far.radius))["mesh"].vertices
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) == len(far.vertices)
 
 
 def test_more_handles_than_can_be_looked_for_are_refused(monkeypatch):

@@ -6,6 +6,7 @@ import threading
 import types
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -140,6 +141,19 @@ def test_a_resized_soup_covers_the_same_surface(scripts, tiny_scene):
         assert len(larger) == count and area(larger) == pytest.approx(area(soup), rel=1e-5)
         assert larger.features.shape == (count, 3, 7) and larger.opacity.shape == (count, 3)
     assert len(scripts.speed.resized_soup(soup, 10)) == 10
+
+
+def test_a_longer_or_other_table_is_kept(scripts, tmp_path, capsys):
+    table, path = pd.DataFrame({"size": [1, 2], "ms": [0.5, 0.7]}), tmp_path / "a.csv"
+    for each in (table, table[:1], table.assign(more=1)):
+        scripts.common.write(each, path)
+    assert len(pd.read_csv(path)) == 2 and [*pd.read_csv(tmp_path / "a-new.csv")] == ["size", "ms", "more"]
+    assert capsys.readouterr().out.count("kept: ") == 2
+    assert len(scripts.common.kept(path, ["size"])) == 2 and not len(
+        scripts.common.kept(tmp_path / "b", ["x"])
+    )
+    with pytest.raises(SystemExit, match="is no table of this script"):
+        scripts.common.kept(path, ["name"])
 
 
 def test_steps_are_timed_by_size_and_triangles(scripts, tiny_scene):

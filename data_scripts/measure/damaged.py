@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, options, write
+from common import Clock, kept, options, write
 from skimage.measure import marching_cubes
 from solid_peers import Surface, poisson, voxels
 
@@ -254,7 +254,7 @@ def main() -> None:
         "alpha wrap": lambda mesh, whole: wrapped(mesh, pymeshlab),
     }
     path = given.out / "damaged.csv"
-    table = pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=ROW)
+    table = kept(path, ROW)
     known = set(table[ROW].itertuples(index=False, name=None))
     for damage, whole, mesh in damaged(given.seed):
         for way in given.ways:

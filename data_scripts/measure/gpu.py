@@ -4,12 +4,13 @@ asked every 400 ms, beside the paper's. Needs an NVIDIA GPU; each run is a proce
 
 import subprocess
 import threading
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pandas as pd
-from common import in_own_process, options
+from common import in_own_process
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
@@ -59,7 +60,9 @@ def allocated_mib(condition: str, folder: str, steps: int = STEPS_OF_THE_STUDY) 
 
 def main() -> None:
     """Print a row per condition."""
-    given = options(__doc__, steps={"type": int, "default": STEPS_OF_THE_STUDY})
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=STEPS_OF_THE_STUDY)
+    given = parser.parse_args()
     try:
         used_mib()
     except (OSError, ValueError, subprocess.SubprocessError) as error:

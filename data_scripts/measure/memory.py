@@ -5,12 +5,13 @@ COLMAP scene, then loaded and trained on as anyone's scene is. What they show do
 minutes and 5 GB of memory.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-from common import Clock, in_own_process, options
+from common import Clock, in_own_process
 from cost import CLOUDS, points_of
 from PIL import Image
 
@@ -80,7 +81,7 @@ def cloud_row(size: int = LARGE, cloud: str = "soup") -> dict:
 
 
 if __name__ == "__main__":
-    options(__doc__)
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     with TemporaryDirectory() as folder:
         rows = [
             in_own_process(photographs_row, f"{folder}/{views}", views, size) for views, size in PHOTOGRAPHS

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from common import options, write
+from common import kept, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config
@@ -156,7 +156,7 @@ if __name__ == "__main__":
         seeds={"nargs": "+", "type": int, "default": [0, 1, 2]},
     )
     file, key = given.out / "photographs.csv", ["thing", "condition", "seed"]
-    table = pd.read_csv(file) if file.is_file() else pd.DataFrame()
+    table = kept(file, key)
     for name in given.things:
         for row in measured(name, given.seeds):
             table = pd.concat([table, pd.DataFrame([row])]).drop_duplicates(key, keep="last")

@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 
 import pandas as pd
-from common import Clock, options, write
+from common import Clock, kept, options, write
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import RunConfig
@@ -92,7 +92,7 @@ def main() -> None:
         seeds={"nargs": "*", "type": int, "default": (0, 1, 2)},
     )
     path = given.out / "rates.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    rows = kept(path, ["scene", "factor", "seed", "steps"]).to_dict("records")
     for name in given.scenes:
         scene, config = scene_and_config(name, given.folder, given.steps, given.downscale)
         for seed, factor in product(given.seeds, given.factors):

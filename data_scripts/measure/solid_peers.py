@@ -18,7 +18,7 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, options, write
+from common import Clock, kept, options, write
 from solids import NAMES, RUN, SEED, betti_of, soups_of
 
 from paper_artifact.certify.certificate import certify_mesh
@@ -107,7 +107,7 @@ def main() -> None:
     except ImportError as error:
         raise SystemExit(f"pymeshlab does not import ({error}); see docs/study.md") from error
     path = given.out / "solid_peers.csv"
-    table = pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=RUN)
+    table = kept(path, RUN)
     known = set(table[RUN].itertuples(index=False, name=None))
     files: list[tuple[str, str, Path | None]] = [each for each in soups_of(given.soups) if each[2].is_file()]
     if not files:

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import pandas as pd
-from common import Clock, options, write
+from common import Clock, kept, options, write
 
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.certify.certificate import certify_mesh
@@ -81,7 +81,7 @@ def main() -> None:
     """Measure what is missing in the CSV."""
     given = options(__doc__, soups={"type": Path, "help": "folder of final soups"})
     path = given.out / "solids.csv"
-    table = pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=RUN)
+    table = kept(path, RUN)
     known = set(table[RUN].itertuples(index=False, name=None))
     for shape, arm, file in soups_of(given.soups):
         if (shape, arm, SEED) in known or not (given.soups is None or file.is_file()):

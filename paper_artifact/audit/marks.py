@@ -16,6 +16,7 @@ import trimesh
 
 from paper_artifact.alpha.persistence import alpha_filtration, alpha_persistence
 from paper_artifact.export.models import Triangles, mesh_triangles, plain_triangles
+from paper_artifact.frame import Frame
 from paper_artifact.mesh import Mesh, weld
 
 MOST = 8  # marks per dimension
@@ -66,22 +67,26 @@ def _centre(corners: np.ndarray) -> np.ndarray:
     return corners[0] + weights @ sides
 
 
-def view_parts(mesh: Mesh, marks: Sequence[Mark], colours: Sequence[str] = COLOURS) -> dict[str, Triangles]:
+def view_parts(
+    mesh: Mesh, marks: Sequence[Mark], frame: Frame, colours: Sequence[str] = COLOURS
+) -> dict[str, Triangles]:
     """Return what the 3-D view shows by name: the mesh with its marks, and both with a see-through mesh.
 
-    colours (#rrggbb): of the marks, in turn.
+    mesh, marks: world units; frame: in whose coordinates the triangles are. colours (#rrggbb): of the marks,
+    in turn.
     """
-    surface = mesh_triangles(mesh)
+    surface = mesh_triangles(mesh.framed(frame))
     if not marks:
         return {"mesh": surface}
     tubes, balls = [], []
     for rank, mark in enumerate(marks):
         colour = tuple(int(colours[rank % len(colours)][i : i + 2], 16) / 255 for i in (1, 3, 5))
         if len(mark.line):
-            tubes.append(plain_triangles(_tube(mark.line, THICKNESS * mesh.diagonal), colour))
+            thick = frame.length(THICKNESS * mesh.diagonal)
+            tubes.append(plain_triangles(_tube(frame.inward(mark.line), thick), colour))
         if mark.dimension == 2:
             ball = trimesh.creation.icosphere(subdivisions=3)
-            placed = 0.97 * mark.radius * ball.vertices + mark.centre
+            placed = 0.97 * frame.length(mark.radius) * ball.vertices + frame.inward(mark.centre)
             balls.append(plain_triangles(placed[ball.faces], colour))
     middle = surface.vertices.mean(axis=1, keepdims=True)
     shrunk = middle + SHRUNK * (surface.vertices - middle)

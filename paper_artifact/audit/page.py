@@ -13,6 +13,7 @@ from paper_artifact.audit.measure import Audit
 from paper_artifact.audit.rule import NAMES, counted
 from paper_artifact.certify.certificate import certificate_text, verdict_text
 from paper_artifact.export.viewer import framing, html_page, up_of
+from paper_artifact.frame import frame_for
 from paper_artifact.mesh import FEATURES
 from paper_artifact.pages import render
 from paper_artifact.plot import draw_diagram, new_figure, svg
@@ -25,7 +26,9 @@ BLUE = "#1f5fbf"
 def audit_page(audit: Audit) -> str:
     """Return the page as text. Raises InputError when the mesh cannot be shown."""
     bundle = audit.bundle
-    seen = framing(audit.mesh.vertices, up=up_of(audit.name))
+    frame = frame_for(audit.mesh.centre, audit.mesh.radius)
+    seen = framing(frame.inward(audit.mesh.vertices), up=up_of(audit.name))
+    parts = view_parts(light_mesh(audit.mesh), audit.marks, frame)
     return render(
         "audit.html",
         audit=audit,
@@ -34,7 +37,7 @@ def audit_page(audit: Audit) -> str:
         headline=headline(audit),
         samples=_shown_samples(audit),
         marks=_mark_lines(audit),
-        view=html_page(view_parts(light_mesh(audit.mesh), audit.marks), audit.mesh.name, seen),
+        view=html_page(parts, audit.mesh.name, seen),
         certificate=certificate_text(audit.certificate),
         multiplier=MULTIPLIER,
         features=FEATURES,

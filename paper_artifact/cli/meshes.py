@@ -111,6 +111,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.certify.certificate import verdict_text
     from paper_artifact.export.models import write_ply
     from paper_artifact.export.viewer import framing, html_page, up_of
+    from paper_artifact.frame import frame_for
     from paper_artifact.ingest.handles import HANDLE, HOLE, find_loops, find_voids
     from paper_artifact.ingest.solidify import write_shell
     from paper_artifact.ingest.surgery import cut_and_capped
@@ -144,13 +145,14 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
             lost = genus - len(found)
             print(f"  (no short loop was found around {lost} of {genus} {kind}s: they are knotted)")
     if options.where is not None:
-        parts = view_parts(light_mesh(mesh), marks, colours)
+        frame = frame_for(mesh.centre, mesh.radius)
+        parts = view_parts(light_mesh(mesh), marks, frame, colours)
         if options.where.suffix == ".html":
             told = ", ".join(f"{what} {number} ({colour})" for what, number, colour, *_ in rows[:MOST_TOLD])
-            seen = framing(mesh.vertices, up=up_of(options.mesh))
+            seen = framing(frame.inward(mesh.vertices), up=up_of(options.mesh))
             write_text(options.where, html_page(parts, f"{mesh.name}: {told}", seen))
         else:
-            write_ply(options.where, parts["seen through"])
+            write_ply(options.where, parts["seen through"], frame)
         print(options.where)
     asked = next(((kind, n) for kind, n in ((HOLE, options.fill), (HANDLE, options.cut)) if n), None)
     if asked is not None:

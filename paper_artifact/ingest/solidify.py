@@ -273,20 +273,19 @@ def check_format(path: Path | str) -> None:
 
 
 def write_shell(path: Path | str, shell: Mesh) -> Certificate:
-    """Write a Mesh whose vertices are float32 values, by the path's ending; return the certificate of what
-    was written.
+    """Write a Mesh by the path's ending; return the certificate of what was written.
 
-    The formats are binary PLY, OBJ and binary STL. The file appears only when it reads back to the same
-    points and passes the certificate. Raises InputError otherwise, for another ending, and when the folder is
-    not writable.
+    The formats are binary PLY, OBJ and, for vertices that are float32 values, binary STL. The file appears
+    only when it reads back to the same points and passes the certificate. Raises InputError otherwise, for
+    another ending, and when the folder is not writable.
     """
     check_format(path)
     return write_certified(path, shell, _encoded(shell, Path(path).suffix.lower()))
 
 
 def write_certified(path: Path | str, shell: Mesh, data: bytes) -> Certificate:
-    """Write `data`, a mesh file that holds `shell` (float32 values); return the certificate of what was
-    written, reading and raising as `write_shell` does."""
+    """Write `data`, a mesh file that holds `shell`; return the certificate of what was written, reading and
+    raising as `write_shell` does."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
         again = load_mesh(temporary, welded=False)
@@ -302,10 +301,17 @@ def write_certified(path: Path | str, shell: Mesh, data: bytes) -> Certificate:
 
 
 def _encoded(shell: Mesh, ending: str) -> bytes:
+    single = shell.vertices.astype(np.float32)
+    points = single if np.array_equal(single, shell.vertices) else shell.vertices
     if ending == ".obj":
-        points = [f"v {x} {y} {z}" for x, y, z in shell.vertices.astype(np.float32)]
-        return "\n".join(
-            points + [f"f {a} {b} {c}" for a, b, c in (shell.faces + 1).tolist()] + [""]
-        ).encode()
+        lines = [f"v {x} {y} {z}" for x, y, z in points]
+        return "\n".join(lines + [f"f {a} {b} {c}" for a, b, c in (shell.faces + 1).tolist()] + [""]).encode()
     mesh = trimesh.Trimesh(shell.vertices, shell.faces, process=False)
-    return export_ply(mesh, vertex_normal=False) if ending == ".ply" else export_stl(mesh)
+    if ending == ".stl":
+        return export_stl(mesh)
+    data = export_ply(mesh, vertex_normal=False)
+    if points is single:
+        return data
+    head, end = data.index(b"property float x"), data.index(b"end_header\n") + len(b"end_header\n")
+    header = data[:head] + data[head:end].replace(b"property float ", b"property double ")
+    return header + points.astype("<f8").tobytes() + data[end + single.nbytes :]

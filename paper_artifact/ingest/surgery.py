@@ -12,6 +12,7 @@ import numpy as np
 
 from paper_artifact.certify.homology import edges_of
 from paper_artifact.errors import InputError
+from paper_artifact.frame import frame_for
 from paper_artifact.ingest.crossings import crossing_faces, crossing_segments
 from paper_artifact.ingest.handles import Loop
 from paper_artifact.kernel_cache import njit
@@ -24,19 +25,14 @@ TRIES = 30  # of a disc, each without a diagonal of the last
 
 
 def cut_and_capped(mesh: Mesh, loop: Loop) -> Mesh:
-    """Return the Mesh without the triangles along a loop, both rims closed by discs; float32 vertices.
+    """Return the Mesh without the triangles along a loop, both rims closed by discs; its vertices are float32
+    values, in the coordinates of its `frame_for` where it lies far away or is huge or tiny.
 
     That cuts a handle, and fills a hole by a plate as thick as the triangles are wide. Raises InputError
-    where a disc would cross the surface, as in a hole that is knotted or that something passes through, and
-    so far from the origin that float32 rounds by more than a tenth of the loop's edges.
+    where a disc would cross the surface, as in a hole that is knotted or that something passes through.
     """
-    farthest = float(np.abs(mesh.vertices).max())
-    if farthest * np.finfo(np.float32).eps > 0.1 * loop.length / len(loop.vertices):
-        raise InputError(
-            f"{mesh.name} lies too far from the origin, up to {farthest:.3g}, for the float32 points of what "
-            "is written; move it there"
-        )
-    vertices, faces, path = mesh.vertices, mesh.faces, loop.vertices
+    frame = frame_for(mesh.centre, mesh.radius)
+    vertices, faces, path = frame.inward(mesh.vertices), mesh.faces, loop.vertices
     band = path
     for _ in range(ATTEMPTS):
         rounded = vertices.astype(np.float32).astype(np.float64)
@@ -46,7 +42,8 @@ def cut_and_capped(mesh: Mesh, loop: Loop) -> Mesh:
             for rim in rims:
                 whole = np.concatenate([whole, cap]) if len(cap := _cap(rounded, whole, rim)) else whole[:0]
             if len(whole):
-                return checked_mesh(*weld(rounded, whole), mesh.name)
+                rounded, whole = weld(rounded, whole)
+                return checked_mesh(frame.outward(rounded), whole, mesh.name)
             band = np.unique(faces[removed])
         elif band is path:
             vertices, faces, path = _finer(vertices, faces, path)

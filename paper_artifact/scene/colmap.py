@@ -327,7 +327,7 @@ def _is_observations(line: str) -> bool:
     """Whether a line of images.txt lists x, y and point id again and again, not an image with its name."""
     words = line.split()
     try:
-        _ = [float(word) for word in (words[0], words[9 % len(words)], words[-1])]
+        _ = [float(word) for word in (words[0], *words[9:30], words[-1])]
     except ValueError:
         return False
     return len(words) % 3 == 0

@@ -115,7 +115,7 @@ def load_scene(
         file, camera = files[view], cameras[view]
         return read_pixels(file, camera.width / camera.height, mask_of(path, names[view]))
 
-    if background == MEAN:
+    if isinstance(background, str) and background == MEAN:
         colour = _mean_colour(pixels(int(view)) for view in train)
     elif background is not None:
         colour = background_colour(str(background))
