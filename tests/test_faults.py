@@ -26,12 +26,13 @@ import pytest
 import trimesh
 
 from paper_artifact import cli
+from paper_artifact.audit import measure
 from paper_artifact.book.build import read_chapter, told, write_figures
 from paper_artifact.claims import read_claims
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import Triangles
 from paper_artifact.export.viewer import html_page
-from paper_artifact.files import REPOSITORY, write_text
+from paper_artifact.files import REPOSITORY, load_json, write_text
 from paper_artifact.pages import script_policy
 from paper_artifact.topology.bundle import build_from_mesh
 from tests.test_book_browser import BROWSER, FLAGS
@@ -141,6 +142,22 @@ def test_an_audit_is_not_replaced_by_that_of_another_mesh_of_the_same_name(folde
     for out in ("", "--out results/audits/ball"):
         said = command(f"audit other/ball.ply --densities 64 --working 64 {out}", code=2).err
         assert "has the audit of" in said and contents(folder / "results") == before
+
+
+def test_of_two_audits_at_once_the_second_is_refused(folder, monkeypatch, command):
+    Path("other").mkdir()
+    trimesh.creation.box().export("other/ball.ply")
+    lines = [f"audit {mesh} --densities 64 --working 64 --out a" for mesh in ("ball.ply", "other/ball.ply")]
+    real, others = measure.audit_mesh, lines[1:]
+
+    def meanwhile(*arguments, **options):
+        if others:
+            command(others.pop())
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(measure, "audit_mesh", meanwhile)
+    assert "is there and was not written by this command" in command(lines[0], code=1).err
+    assert load_json(Path("a/audit.json"))["mesh"] == str(Path("other/ball.ply").resolve())
 
 
 @pytest.mark.parametrize("limit", (200_000, 250_000))

@@ -46,6 +46,24 @@ def test_of_every_few_frames_the_sharpest_is_taken(video, tmp_path):
         video_frames(video, 20, tmp_path / "few", False)
 
 
+@pytest.mark.parametrize("sound", (False, True))
+def test_a_short_video_is_whole(sound, tmp_path):
+    """Eleven frames, of which the last begins at ten elevenths; the sound goes on after the picture."""
+    with av.open(tmp_path / "a.mkv", "w") as container:
+        streams = [container.add_stream("mpeg4", rate=10, width=64, height=48, pix_fmt="yuv420p")]
+        noise = np.random.default_rng(0).integers(0, 255, (11, 48, 64, 3), dtype=np.uint8)
+        frames = [[av.VideoFrame.from_ndarray(each, "rgb24") for each in noise]]
+        if sound:
+            streams.append(container.add_stream("pcm_s16le", rate=8000))
+            silence = av.AudioFrame.from_ndarray(np.zeros((1, 16000), np.int16), layout="mono")
+            silence.sample_rate = 8000
+            frames.append([silence])
+        for stream, own in zip(streams, frames, strict=True):
+            container.mux([packet for each in [*own, None] for packet in stream.encode(each)])
+    assert video_frames(tmp_path / "a.mkv", 1, tmp_path / "frames", False) == 1
+    assert len([*(tmp_path / "frames").iterdir()]) == 11
+
+
 def test_what_is_no_video_is_refused(video, tmp_path, capsys):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:2000])

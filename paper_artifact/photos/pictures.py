@@ -10,6 +10,7 @@ is seen in several.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -158,8 +159,8 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
                     best, taken = -1.0, None
             if taken is not None and seen % every > every // 2:
                 _write_frame(taken, folder, seen)
-            length = (container.duration or 0) / 1e6
-            if seen < COMPLETE * stream.frames or (not stream.frames and time < COMPLETE * length):
+            end = time + float(1 / stream.average_rate if stream.average_rate else 0)
+            if seen < COMPLETE * stream.frames or (not stream.frames and end < COMPLETE * _length(stream)):
                 raise InputError(f"{video} is cut off: it says {total} frames and has {seen}; copy it again")
     except InputError:
         raise
@@ -175,6 +176,16 @@ def video_frames(video: Path, every: int | None, folder: Path, progress: bool) -
             + ("a smaller --every" if every > 1 else "a longer video")
         )
     return every
+
+
+def _length(stream: Any) -> float:
+    """Return how many seconds of pictures a video's stream declares; 0.0 where the file says so only of its
+    longest stream, which may be the sound."""
+    if said := re.fullmatch(r"(\d+):(\d+):([\d.]+)", stream.metadata.get("DURATION", "")):  # of Matroska
+        return 3600 * int(said[1]) + 60 * int(said[2]) + float(said[3])
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    return 0.0 if stream.container.streams.audio else (stream.container.duration or 0) / 1e6
 
 
 def _write_frame(frame: Any, folder: Path, number: int) -> None:
