@@ -86,6 +86,12 @@ def own_kernel() -> Iterator[str]:
                 os.environ["JUPYTER_PATH"] = before
 
 
+def _part(path: Path, name: str) -> str:
+    """Return `name`, by which what a notebook makes is listed, with the folder of one that is not ours."""
+    folder = path.resolve().parent
+    return name if folder == NOTEBOOKS.resolve() else f"{name} in {folder}"
+
+
 @contextmanager
 def figures_of(path: Path, folder: Path) -> Iterator[None]:
     """Have the figures that a notebook shows written to `folder` as <notebook>_<key>.svg (see `plot.show`),
@@ -93,7 +99,7 @@ def figures_of(path: Path, folder: Path) -> Iterator[None]:
     that no execution wrote."""
     known = {name for names in listed(folder).values() for name in names}
     mine = [each.name for each in folder.glob(f"{escape(path.stem)}_*.svg")]
-    with renewed_folder(folder, path.stem, {*mine} - known) as new:
+    with renewed_folder(folder, _part(path, path.stem), {*mine} - known) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
             yield
@@ -127,7 +133,7 @@ def execute(
     start, failure = time.monotonic(), ""
     try:
         before = path.read_bytes()
-        with figures_of(path, figures), renewed_folder(executed, path.name, [path.name]) as new:
+        with figures_of(path, figures), renewed_folder(executed, _part(path, path.name), [path.name]) as new:
             try:
                 notebook = papermill.execute_notebook(
                     path,

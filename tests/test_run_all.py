@@ -35,7 +35,7 @@ def printed(path: Path) -> str:
 
 def executed(path: Path, **options) -> Execution:
     with own_kernel():
-        return execute(path, "recorded", executed=path.parent / "out", quiet=True, **options)
+        return execute(path, "recorded", **{"executed": path.parent / "out", "quiet": True} | options)
 
 
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):
@@ -85,6 +85,16 @@ def test_refresh_leaves_a_failing_notebook_alone(tmp_path, code, error):
     outcome = executed(path, refresh=True)
     assert path.read_bytes() == before
     assert outcome.error.startswith(error)
+
+
+def test_a_notebook_of_the_same_name_elsewhere_replaces_nothing(tmp_path):
+    paths = [write_notebook(tmp_path / folder / "01_a.ipynb", f"'{folder}'") for folder in ("x", "y")]
+    for path in (paths[0], paths[0]):
+        assert not executed(path, executed=tmp_path / "out").error
+    before = (tmp_path / "out" / "01_a.ipynb").read_bytes()
+    with pytest.raises(InputError, match="01_a.ipynb is there and was not written by this command"):
+        executed(paths[1], executed=tmp_path / "out")
+    assert (tmp_path / "out" / "01_a.ipynb").read_bytes() == before
 
 
 def test_refresh_leaves_what_was_edited_meanwhile(tmp_path):

@@ -48,7 +48,7 @@ class Resampler:
         if self.importance is not None and prior.subdivided > 0 and round(prior.subdivided * budget) < 1:
             raise InputError(
                 f"the budget of {budget} triangles is smaller than the protected share "
-                f"{prior.subdivided} asks for; raise the budget or set subdivided to 0"
+                f"{prior.subdivided} asks for; raise the budget"
             )
 
     @property
