@@ -1,5 +1,6 @@
 """The command line: registry, help, options, exit codes, terminals; verbs are tested with their rooms."""
 
+import importlib
 import json
 import os
 import shlex
@@ -264,21 +265,44 @@ def test_tab_completion_proposes_verbs_options_and_names(tmp_path):
     assert "two_spheres" in proposed("paper-artifact train two_")
 
 
-def test_an_interrupt_that_a_library_turns_into_another_error_is_one(monkeypatch, capsys):
-    def importing(argv, asked):
-        try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(5)
-        except KeyboardInterrupt:
-            raise ImportError("PLEASE READ THIS") from None
+SWALLOWS = """import os, signal, time
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.2)
+except BaseException:
+    pass
+"""
 
-    monkeypatch.setattr(cli, "_run", importing)
+
+def raises_another(argv, asked):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+    except KeyboardInterrupt:
+        raise ImportError("PLEASE READ THIS") from None
+
+
+def imports(argv, asked):
+    importlib.import_module("swallows")
+    for _ in range(500):
+        time.sleep(0.01)
+    return 0
+
+
+@pytest.mark.parametrize("work", (raises_another, imports))
+def test_an_interrupt_that_a_library_swallows_or_turns_into_another_error_is_one(
+    work, monkeypatch, capsys, tmp_path
+):
+    (tmp_path / "swallows.py").write_text(SWALLOWS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(cli, "_run", work)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         assert cli.main(["certify", "torus"]) == 1
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.modules.pop("swallows", None)
     assert capsys.readouterr().err.startswith("paper_artifact: interrupted; ")
 
 

@@ -64,6 +64,14 @@ def test_evaluate_names_bad_input(soup_file, words, code, reason, command):
     assert reason in command(f"evaluate {soup_file} {words}", code=code).err
 
 
+def test_the_next_command_replaces_no_file(soup_file, tmp_path, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("mesh.ply", "mesh-2.ply"):
+        (tmp_path / name).write_text("mine")
+    said = command(f"export {soup_file} --formats ply --out e").out
+    assert said.splitlines()[-1] == next_command("solidify", soup_file, "--out", "mesh-3.ply")
+
+
 def test_export_writes_every_format(soup_file, tmp_path, command):
     out, kinds = tmp_path / "exports", ("glb", "html", "ply", "view0.png", "view1.png", "views.png")
     said = command(f"export {soup_file} --out {out} --views 2 --size 48 --target sphere").out

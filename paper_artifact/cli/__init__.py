@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from threading import current_thread, main_thread
+from types import FrameType
 from typing import Any
 
 from paper_artifact import __version__
@@ -87,15 +88,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = _asked(argv)
     interrupted: list[int] = []
 
-    def interrupt(number: int, _: object) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         interrupted.append(number)
-        raise KeyboardInterrupt
+        if _importing(frame):  # libraries swallow what is raised in their imports: a moment later
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+        else:
+            raise KeyboardInterrupt
 
     before = signal.getsignal(signal.SIGINT)
     heard = current_thread() is main_thread() and before in (signal.SIG_DFL, signal.default_int_handler)
     try:
         if heard:
             signal.signal(signal.SIGINT, interrupt)
+            signal.signal(signal.SIGALRM, interrupt)
         code = _run(argv, asked)
         sys.stdout.flush()
         return code
@@ -114,7 +119,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2 if isinstance(error, WrongUsage) else 1
     finally:
         if heard:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.signal(signal.SIGINT, before)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Return whether the frame, or one that called it, imports a module."""
+    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+        frame = frame.f_back
+    return frame is not None
 
 
 def _run(argv: list[str], asked: str | None) -> int:

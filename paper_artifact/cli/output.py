@@ -7,6 +7,9 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from itertools import count
+from os.path import lexists
+from pathlib import Path
 from typing import Any
 
 from paper_artifact.errors import CONTROL, quoted
@@ -74,6 +77,13 @@ def to_string(heads: Sequence[str], rows: Sequence[Sequence[object]], indent: st
         ).rstrip()
         for row in cells
     )
+
+
+def free_name(name: str) -> str:
+    """Return a file's name, with a number where the current folder has one of that name."""
+    path = Path(name)
+    names = (name if number == 1 else f"{path.stem}-{number}{path.suffix}" for number in count(1))
+    return next(each for each in names if not lexists(each))
 
 
 def next_command(*words: object) -> str:
