@@ -374,6 +374,17 @@ def test_a_run_is_let_go_once_it_is_recorded(monkeypatch):
         assert sum(each() is not None for each in held) == left
 
 
+def test_a_scheduler_without_workers_and_results_that_cannot_be_written_are_told_at_once(tmp_path):
+    options = {"processes": False, "dashboard_address": None, "scheduler_port": 0, "protocol": "tcp"}
+    with LocalCluster(n_workers=0, host="127.0.0.1", **options) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(InputError, match="has no workers; start one with `dask worker tcp://"):
+            sweep([CONFIGS[0]], tmp_path, scheduler=address)
+        (tmp_path / "file").write_text("")
+        with pytest.raises(InputError, match="Not a directory"):
+            sweep([CONFIGS[0]], tmp_path / "file", scheduler=address)
+
+
 def test_no_scheduler_is_told_in_one_line(tmp_path):
     with pytest.raises(InputError, match="no Dask scheduler at nowhere://127.0.0.1:1 .*dask scheduler"):
         sweep([CONFIGS[0]], tmp_path, scheduler="nowhere://127.0.0.1:1")

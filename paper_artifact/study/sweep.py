@@ -26,6 +26,7 @@ from typing import Any
 
 from paper_artifact.config import RunConfig, config_from, config_values
 from paper_artifact.errors import InputError
+from paper_artifact.files import check_writable
 from paper_artifact.record.store import read_record, recorded_path, write_record
 from paper_artifact.scene.given import called, is_own, resolve
 from paper_artifact.scene.shapes import find_mesh
@@ -257,7 +258,11 @@ def sweep(
     outcomes: list[Outcome] = []
     with connect(scheduler) if scheduler and todo else nullcontext() as client:
         if client is not None:
-            workers = max(1, sum(client.nthreads().values()))
+            check_writable(results / "runs" / "record.json")
+            if not (workers := sum(client.nthreads().values())):
+                raise InputError(
+                    f"the scheduler at {scheduler} has no workers; start one with `dask worker {scheduler}`"
+                )
         estimate = Estimate(todo, workers)
         report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
         with closing(run_all(todo, results, device, workers, client)) as running:
