@@ -208,7 +208,7 @@ def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
     before = listed(folder).get(part)
     if names is not None:
         unlisted = (folder / name for name in names if name not in (before or ()))
-        foreign = next((path for path in unlisted if path.exists()), None)
+        foreign = next((path for path in unlisted if os.path.lexists(path)), None)
     else:
         foreign = _unlisted(folder) if before is None else None
     if foreign is not None:

@@ -96,6 +96,8 @@ def test_a_folder_of_others_is_refused_and_stays(tmp_path):
     refuses(f"audit.html {THEIRS}", home, "audit.html", part="other", known=True)
     renew(home, "audit.html", part="audit", known=True)
     assert files_in(home) == {"notes/thesis.txt", "audit.html"} and not partials(tmp_path)
+    (home / "a.ply").symlink_to(tmp_path / "nowhere.ply")
+    refuses(f"a.ply {THEIRS}", home, "a.ply", part="audit", known=True)
 
 
 @pytest.mark.parametrize("known", [True, False])
