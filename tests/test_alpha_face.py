@@ -310,6 +310,8 @@ def test_the_transformer_is_scikit_learns():
     for X in ([cloud(30), cloud(30, 2)], np.zeros((0, 5, 3)), [cloud(30), cloud(30, 4)]):
         with pytest.raises(InputError, match="X has no clouds, or some|shape"):
             AlphaTransformer().fit(X)
+    with pytest.raises(InputError, match="clouds in 2 dimensions, and not as in fit"):
+        AlphaTransformer().fit(clouds).transform([cloud(30, 2)])
 
 
 def test_the_import_is_numpy_alone_and_every_name_is_there():

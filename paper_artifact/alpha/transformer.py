@@ -44,6 +44,12 @@ class AlphaTransformer(TransformerMixin, BaseEstimator):
             clouds = [check_points(each) for each in X]
             if len({each.shape[1] for each in clouds}) != 1:
                 raise InputError("X has no clouds, or some in space and some in the plane; give one kind")
+            if reset:
+                self.dimension_ = clouds[0].shape[1]
+            elif getattr(self, "dimension_", 3) != clouds[0].shape[1]:
+                raise InputError(
+                    f"X has clouds in {clouds[0].shape[1]} dimensions, and not as in fit; fit again"
+                )
             return clouds
         X = X.detach() if hasattr(X, "detach") else X
         table = validate_data(self, X, reset=reset, dtype=np.float64)
