@@ -163,9 +163,9 @@ def outer_surface(mesh: Mesh, offset: float, cells: float) -> tuple[Rung, Mesh]:
     filled = values < np.float32(epsilon)
     # marching_cubes adds 2e-16 to each difference of values: tiny ones are scaled up by a power of two.
     unit = np.float32(min(1.0, np.ldexp(1.0, int(np.frexp(epsilon)[1]) + 30)))
-    points, triangles, inwards, _ = marching_cubes(
-        values / unit, np.float32(epsilon) / unit, gradient_direction="descent"
-    )
+    values /= unit
+    iso = np.float32(epsilon) / unit
+    points, triangles, inwards, _ = marching_cubes(values, iso, gradient_direction="descent")
     label = labels_of_graph(triangles[:, [0, 1]].reshape(-1), triangles[:, [1, 2]].reshape(-1), len(points))
     deep = np.rint(points + DEEP * epsilon / cell * inwards).astype(int)
     walled = filled[tuple(np.clip(deep, 0, np.array(values.shape) - 1).T)]
