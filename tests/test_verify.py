@@ -8,6 +8,7 @@ import pytest
 
 from paper_artifact.cli import main
 from paper_artifact.record.store import (
+    _hash,
     config_of,
     first_difference,
     make_record,
@@ -93,7 +94,9 @@ def test_sweep_verify_counts_and_names_what_differs(tmp_path, capsys, monkeypatc
     known = [config for config in configs if config.seed == 0]
     records = [read_record(path) for config in known if (path := recorded_path(config)) is not None]
     (tmp_path / "runs").mkdir()
-    for record in records:
+    older = records[1] | {"packages": records[1]["packages"] | {"paper_artifact": "0.2.0"}}
+    older["digest"] = _hash({key: value for key, value in older.items() if key != "digest"})
+    for record in (records[0], older):
         write_record(record, tmp_path / "runs")
 
     def again(todo, results, **_):
