@@ -70,13 +70,18 @@ def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     return parser.parse_args()
 
 
+def _read(path: Path) -> pd.DataFrame:
+    """Return the table at `path`; one without columns where the file holds none."""
+    try:
+        return pd.read_csv(path)
+    except ValueError:  # pandas' own are
+        return pd.DataFrame()
+
+
 def kept(path: Path, key: list[str]) -> pd.DataFrame:
     """Return the table at `path` that a script goes on with, an empty one with the columns `key` where there
     is none. Ends the program where it is another table."""
-    try:
-        table = pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=key)
-    except ValueError:  # pandas' own are
-        table = pd.DataFrame()
+    table = _read(path) if path.is_file() else pd.DataFrame(columns=key)
     if not {*key} <= {*table.columns}:
         raise SystemExit(f"{path} is no table of this script; choose another folder with --out")
     return table
@@ -85,14 +90,9 @@ def kept(path: Path, key: list[str]) -> pd.DataFrame:
 def write(table: pd.DataFrame, path: Path) -> None:
     """Write a table with 6 significant digits, whole or not at all. What is at `path` and has other columns
     or more rows stays; the table is written beside it then."""
-    if path.is_file():
-        try:
-            before = pd.read_csv(path)
-            shorter = [*before.columns] == [*table.columns] and len(before) <= len(table)
-        except ValueError:
-            shorter = False
-        if not shorter:
-            print(f"kept: {path}, which has other columns or more rows")
-            path = path.with_stem(f"{path.stem}-new")
+    before = _read(path) if path.is_file() else table[:0]
+    if [*before.columns] != [*table.columns] or len(before) > len(table):
+        print(f"kept: {path}, which has other columns or more rows")
+        path = path.with_stem(f"{path.stem}-new")
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
     print(f"written: {path}, {len(table)} rows")

@@ -85,9 +85,8 @@ def view_parts(
             thick = frame.length(THICKNESS * mesh.diagonal)
             tubes.append(plain_triangles(_tube(frame.inward(mark.line), thick), colour))
         if mark.dimension == 2:
-            ball = trimesh.creation.icosphere(subdivisions=3)
-            placed = 0.97 * frame.length(mark.radius) * ball.vertices + frame.inward(mark.centre)
-            balls.append(plain_triangles(placed[ball.faces], colour))
+            ball = trimesh.creation.icosphere(subdivisions=3, radius=0.97 * frame.length(mark.radius))
+            balls.append(plain_triangles((ball.vertices + frame.inward(mark.centre))[ball.faces], colour))
     middle = surface.vertices.mean(axis=1, keepdims=True)
     shrunk = middle + SHRUNK * (surface.vertices - middle)
     parts = {"on the mesh": _joined([surface, *tubes])} if tubes else {"mesh": surface}
@@ -99,8 +98,8 @@ def _tube(line: np.ndarray, radius: float) -> np.ndarray:
     triangles = []
     for start, end in zip(line[:-1], line[1:], strict=True):
         if np.linalg.norm(end - start) > 0:
-            tube = trimesh.creation.cylinder(1.0, segment=[start / radius, end / radius], sections=6)
-            triangles.append(radius * np.asarray(tube.vertices)[tube.faces])  # trimesh: nothing below 1e-12
+            tube = trimesh.creation.cylinder(radius, segment=[start, end], sections=6)
+            triangles.append(np.asarray(tube.vertices)[tube.faces])
     return np.concatenate(triangles) if triangles else np.zeros((0, 3, 3))
 
 

@@ -29,10 +29,11 @@ from typing import Any
 from paper_artifact import __version__
 from paper_artifact.cli.options import Options, WrongUsage, add_options, read_options
 from paper_artifact.cli.output import prepare_streams
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_memory
 from paper_artifact.files import DISK_BROKEN, DISK_FULL, check_writable, write_failure, write_json
 
 Runner = Callable[[Any], Any]
+LEAST_MEMORY = 2.0**28  # bytes; the libraries of a verb take a little more
 NO_MEMORY = ("failed to map segment", "allocate memory")  # what a library's import says
 
 
@@ -145,6 +146,9 @@ def _run(argv: list[str], asked: str | None) -> int:
     threads = os.environ.get("NUMBA_NUM_THREADS", "1").strip()
     if threads.lstrip("+-").isdecimal() and int(threads) < 1:
         raise WrongUsage(f"NUMBA_NUM_THREADS is {threads}; unset it, or set it to 1 or more")
+    if asked is not None:  # OpenBLAS asks again without end where there is less
+        advice = "raise the limit (ulimit -v), or use a larger machine"
+        require_memory(LEAST_MEMORY, f"the verb '{asked}'", advice)
     parser, runner = _parser(asked)
     with suppress(ImportError):
         import argcomplete

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import sha256
 from os.path import realpath
 from pathlib import Path
 from typing import Annotated, Any
@@ -275,7 +273,7 @@ def audit(options: AuditOptions) -> int:
     mesh = find_mesh(options.mesh, welded=False)
     folder = options.out or RESULTS / "audits" / (cut_name(re.sub(r"[^\w.-]+", "_", mesh.name)) or "mesh")
     _check_other(folder, options.mesh)
-    part = f"audit of {sha256(os.fsencode(_identity(options.mesh))).hexdigest()[:12]}"
+    part = f"audit of {_identity(options.mesh)}"
     with renewed_folder(folder, part, AUDIT_FILES) as new, stage_bar(options.mesh, options.quiet) as stage:
         found = audit_mesh(
             mesh,

@@ -7,9 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from itertools import count
 from os.path import lexists
-from pathlib import Path
 from typing import Any
 
 from paper_artifact.errors import CONTROL, quoted
@@ -79,13 +77,13 @@ def to_string(heads: Sequence[str], rows: Sequence[Sequence[object]], indent: st
     )
 
 
-def free_name(name: str) -> str:
-    """Return a file's name, with a number where the current folder has one of that name."""
-    path = Path(name)
-    names = (name if number == 1 else f"{path.stem}-{number}{path.suffix}" for number in count(1))
-    return next(each for each in names if not lexists(each))
-
-
 def next_command(*words: object) -> str:
     """Return the line `next: python -m paper_artifact …`, its words quoted for the shell."""
     return f"next: python -m paper_artifact {' '.join(map(quoted, words))}"
+
+
+def next_mesh(*words: object) -> str:
+    """Return `next_command` of a verb that makes a mesh, with an --out that the current folder does not have:
+    mesh.ply, or mesh-2.ply, …"""
+    names = ("mesh.ply", *(f"mesh-{number}.ply" for number in range(2, 1000)))
+    return next_command(*words, "--out", next(name for name in names if not lexists(name)))

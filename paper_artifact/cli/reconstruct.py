@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from paper_artifact.cli.options import Options, Positional, Source, usage_checked, words_of
-from paper_artifact.cli.output import free_name, next_command
+from paper_artifact.cli.output import next_command, next_mesh
 from paper_artifact.cli.runs import Train, summary, trained
 from paper_artifact.cli.scenes import registered_text, written
 from paper_artifact.cli.solids import Solidify, numbers, offset_table, solid_of, written_text
@@ -91,11 +91,7 @@ def reconstruct(options: Reconstruct) -> int:
     pictures = exported(Export(soup=Source(str(soup)), scene=scene, out=work, formats=("png", "html")))
     print(f"pictures     3-D: {pictures[0]}; photographs held out above, renders below: {pictures[-1]}")
     if options.out is None:
-        print(
-            next_command(
-                "reconstruct", *words_of(options), "--betti", "1,1,0", "--out", free_name("mesh.ply")
-            )
-        )
+        print(next_mesh("reconstruct", *words_of(options), "--betti", "1,1,0"))
         return 0
     cut = Solidify(soup=Source(str(soup)), out=options.out, scene=scene, quiet=options.quiet)
     solid = solid_of(cut, betti, OFFSETS)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from paper_artifact.catalogue import BASELINE, CONDITIONS, get_condition, shape_row, study_config
 from paper_artifact.cli.bars import bar, step_bar
 from paper_artifact.cli.options import Positional, Source, WrongUsage, usage_checked, words_of
-from paper_artifact.cli.output import free_name, next_command
+from paper_artifact.cli.output import next_command, next_mesh
 from paper_artifact.cli.reading import OwnSceneOptions
 from paper_artifact.cli.verify import recorded_runs, report_differences
 from paper_artifact.config import DEVICES, STEPS_OF_THE_STUDY, LossConfig, RunConfig, parse_changes
@@ -192,7 +192,7 @@ def _after(soup: Path, shape: str | None, scene: str | None, betti: str | None) 
     if scene is None and (shape is None or not Path(shape).is_dir()):
         return next_command("export", soup, "--target", shape)
     stated = [] if betti is None else ["--betti", betti]
-    return next_command("solidify", soup, "--scene", scene or shape, *stated, "--out", free_name("mesh.ply"))
+    return next_mesh("solidify", soup, "--scene", scene or shape, *stated)
 
 
 def closing_notes(record: dict) -> list[str]:

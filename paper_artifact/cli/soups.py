@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from paper_artifact.cli.options import Positional, Source, WrongUsage
-from paper_artifact.cli.output import free_name, next_command, to_string
+from paper_artifact.cli.output import next_command, next_mesh, to_string
 from paper_artifact.cli.reading import ReadingOptions
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate import scores
@@ -93,11 +93,7 @@ def evaluate(options: Evaluate) -> tuple[int, dict]:
             )
             result = {name: result[name] for name in result if name != "step"} | asked | images
             print(_table(result))
-            print(
-                next_command(
-                    "solidify", options.surface, "--scene", options.scene, "--out", free_name("mesh.ply")
-                )
-            )
+            print(next_mesh("solidify", options.surface, "--scene", options.scene))
             return 0, result
         corners = frame.outward(soup.vertices.numpy())
         samples = scores.soup_samples(corners, soup.corner_opacity(), options.samples, draws)
@@ -191,7 +187,7 @@ def export(options: Export) -> int:
     print(*exported(options), sep="\n")
     target = ["--target", options.target] if options.target else []
     of = ["--scene", options.scene] if options.scene else target
-    print(next_command("solidify", options.soup, *of, "--out", free_name("mesh.ply")))
+    print(next_mesh("solidify", options.soup, *of))
     return 0
 
 

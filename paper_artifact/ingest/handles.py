@@ -184,7 +184,6 @@ def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tup
     """
     stage = progress or (lambda name: None)
     labels, volumes = _components(mesh)
-    outward = _outward(mesh, labels, volumes)
     found: list[Loop] = []
     for label in range(len(volumes)):
         own = np.flatnonzero(labels == label)
@@ -198,7 +197,7 @@ def find_loops(mesh: Mesh, progress: Callable[[str], None] | None = None) -> tup
             )
         stage(f"loops of component {label + 1} of {len(volumes)}, {genus} handles")
         surface = _Surface(mesh.vertices[own], faces)
-        for kind, vertices in _loops_of(surface, outward[label]):
+        for kind, vertices in _loops_of(surface, _outward(mesh, labels, volumes, label)):
             found.append(Loop(kind, own[vertices], surface.length_of(vertices)))
     return tuple(sorted(found, key=lambda each: (each.kind != HANDLE, each.length)))
 
@@ -212,20 +211,17 @@ def _components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return labels, np.bincount(labels[mesh.faces[:, 0]], weights=volumes)
 
 
-def _outward(mesh: Mesh, labels: np.ndarray, volumes: np.ndarray) -> np.ndarray:
-    """Return for each component (C,) whether the outermost one that it lies in, or itself, is wound outwards
-    (1.0) or inwards (-1.0): the solid angle of each other component is asked at one of its vertices."""
-    owner = labels[mesh.faces[:, 0]]
-    around = np.eye(len(volumes), dtype=bool)
-    for label in range(len(volumes)) if len(volumes) > 1 else ():
-        a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices[np.argmax(labels == label)], 1, 0)
-        x, y, z = (np.linalg.norm(each, axis=1) for each in (a, b, c))
-        ab, bc, ca = (np.einsum("ij,ij->i", *each) for each in ((a, b), (b, c), (c, a)))
-        half = np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), x * y * z + ab * z + bc * x + ca * y)
-        angles = np.bincount(owner, weights=half, minlength=len(volumes))  # van Oosterom and Strackee 1983
-        around[label] |= (np.abs(angles) > np.pi) & (np.arange(len(volumes)) != label)
-    outermost = np.where(around, np.abs(volumes), 0.0).argmax(axis=1)
-    return np.where(volumes[outermost] > 0, 1.0, -1.0)
+def _outward(mesh: Mesh, labels: np.ndarray, volumes: np.ndarray, label: int) -> float:
+    """Return 1.0 where the outermost component that one component lies in, or itself, is wound outwards, else
+    -1.0: the solid angle of every component is asked at one of its vertices."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices[np.argmax(labels == label)], 1, 0)
+    x, y, z = (np.linalg.norm(each, axis=1) for each in (a, b, c))
+    ab, bc, ca = (np.einsum("ij,ij->i", *each) for each in ((a, b), (b, c), (c, a)))
+    half = np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), x * y * z + ab * z + bc * x + ca * y)
+    angles = np.bincount(labels[mesh.faces[:, 0]], half, len(volumes))  # van Oosterom and Strackee 1983
+    around = np.abs(angles) > np.pi
+    around[label] = True
+    return 1.0 if volumes[np.where(around, np.abs(volumes), 0.0).argmax()] > 0 else -1.0
 
 
 def _loops_of(surface: _Surface, outward: float) -> list[tuple[str, np.ndarray]]:
