@@ -14,6 +14,7 @@ from trimesh.exchange.ply import export_ply
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_bytes
+from paper_artifact.formats.polygons import with_doubles
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh
 from paper_artifact.raster.twin import spherical_harmonics
@@ -124,22 +125,7 @@ def ply_bytes(mesh: trimesh.Trimesh, frame: Frame = SAME) -> bytes:
     """Return binary PLY of a mesh with vertex colours; frame: of its coordinates; where it is not the user's
     own, x y z are doubles, since floats may not resolve them."""
     data = export_ply(mesh, vertex_normal=False)
-    return data if frame == SAME else _with_doubles(data, frame.outward(mesh.vertices))
-
-
-def _with_doubles(ply: bytes, vertices: np.ndarray) -> bytes:
-    """Return trimesh's binary PLY with other positions (n,3), as doubles."""
-    end = ply.index(b"end_header\n") + len(b"end_header\n")
-    header, body = ply[:end], ply[end:]
-    for axis in (b"x", b"y", b"z"):
-        header = header.replace(b"property float " + axis + b"\n", b"property double " + axis + b"\n")
-    colour = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
-    old = np.frombuffer(body, np.dtype([("place", "<f4", 3), *colour]), len(vertices))
-    new = np.empty(len(vertices), np.dtype([("place", "<f8", 3), *colour]))
-    for name, _ in colour:
-        new[name] = old[name]
-    new["place"] = vertices
-    return header + new.tobytes() + body[old.nbytes :]
+    return data if frame == SAME else with_doubles(data, frame.outward(mesh.vertices))
 
 
 def srgb_to_linear(colours: np.ndarray) -> np.ndarray:

@@ -148,6 +148,19 @@ def read_ply(data: bytes) -> Triangles:
     return points, np.concatenate(parts)
 
 
+def with_doubles(ply: bytes, points: np.ndarray) -> bytes:
+    """Return trimesh's binary PLY of floats and maybe colours with other positions (V,3), as doubles."""
+    end = ply.index(b"end_header\n") + len(b"end_header\n")
+    header, body = ply[:end], ply[end:]
+    colours = [(name, "u1") for name in ("red", "green", "blue", "alpha") if name.encode() in header]
+    old = np.frombuffer(body, np.dtype([("place", "<f4", 3), *colours]), len(points))
+    new = np.empty(len(points), np.dtype([("place", "<f8", 3), *colours]))
+    for name, _ in colours:
+        new[name] = old[name]
+    new["place"] = points
+    return header.replace(b"property float ", b"property double ") + new.tobytes() + body[old.nbytes :]
+
+
 def read_ply_elements(data: bytes) -> dict[str, dict]:
     """Return what a PLY file holds: element → property → (n,) array, or (values, (n,) sizes) of a list.
     Raises ValueError for a damaged file."""

@@ -29,6 +29,7 @@ from paper_artifact.certify.certificate import Certificate, certify_mesh
 from paper_artifact.certify.homology import labels_of_graph
 from paper_artifact.errors import InputError
 from paper_artifact.files import atomic_path
+from paper_artifact.formats.polygons import with_doubles
 from paper_artifact.ingest.distance import distance_grid
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh, weld
 
@@ -310,8 +311,4 @@ def _encoded(shell: Mesh, ending: str) -> bytes:
     if ending == ".stl":
         return export_stl(mesh)
     data = export_ply(mesh, vertex_normal=False)
-    if points is single:
-        return data
-    head, end = data.index(b"property float x"), data.index(b"end_header\n") + len(b"end_header\n")
-    header = data[:head] + data[head:end].replace(b"property float ", b"property double ")
-    return header + points.astype("<f8").tobytes() + data[end + single.nbytes :]
+    return data if points is single else with_doubles(data, points)
