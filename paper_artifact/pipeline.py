@@ -94,17 +94,20 @@ def make_run_term(
 
 def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: Mesh) -> ImportanceField:
     """Return the importance field of a run's allocation on the target mesh. Random centres (arms B3, B5) are
-    drawn on the surface with the run's seed, of the same number, weights and widths."""
+    drawn on the surface with the run's seed, of the same number, weights and widths. Noise prefers no place:
+    each dense sample has a number of its own in [0, 1), drawn with the run's seed."""
 
     def sample(count: int, generator: np.random.Generator) -> np.ndarray:
         return sample_surface(mesh.vertices, mesh.faces, count, generator)[0]
 
+    draws, dense = stream(config.seed, "allocation-centres"), sample(DENSE, stream(0, "allocation-dense"))
+    if allocation.centres == "noise":
+        return ImportanceField(dense, draws.random(DENSE))
     points = sample(allocation.samples, stream(allocation.bundle_seed, "bundle-samples"))
     kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
     if allocation.centres == "random":
-        draws = stream(config.seed, "allocation-centres")
         kernels = [replace(each, centres=sample(len(each.centres), draws)) for each in kernels]
-    return importance_field(kernels, sample(DENSE, stream(0, "allocation-dense")))
+    return importance_field(kernels, dense)
 
 
 def make_run_allocation(

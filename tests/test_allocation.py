@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import AllocationConfig, RunConfig
@@ -66,6 +67,21 @@ def test_random_centres_keep_number_weights_and_widths_and_differ_by_seed():
     assert make_run_allocation(study_config("sphere", "C1"), mesh, mesh.vertices) == (None, None)
     resampler, start = make_run_allocation(study_config("sphere", "B1"), mesh, mesh.vertices)
     assert resampler is None and start.shape == (len(mesh.vertices),) and 0 <= start.min() < start.max() <= 1
+
+
+def test_noise_in_place_of_the_field_prefers_no_place():
+    mesh = make_shape("sphere")
+    blind = {"centres": "noise", "protection": 0.0, "subdivided": 0.2}
+    configs = [study_config("sphere", "B5", seed, allocation=blind) for seed in (0, 1)]
+    first, second = (make_run_importance(config, config.allocation, mesh) for config in configs)
+    assert not np.allclose(first.values, second.values)
+    for octant in np.sign(first.samples[:8]):  # its mean over part of the sphere is the whole's
+        assert abs(first.values[(first.samples * octant > 0).all(axis=1)].mean() - 0.5) < 0.03
+    neighbours = cKDTree(first.samples).query(first.samples, k=2)[1][:, 1]
+    assert abs(np.corrcoef(first.values, first.values[neighbours])[0, 1]) < 0.03  # nothing of a field is left
+    corners, counts = np.random.default_rng(0).normal(size=(50, 3, 3)), np.arange(50)[::-1]
+    resampler = Resampler(configs[0], importance=first)
+    assert np.array_equal(np.argsort(resampler.order(corners, counts)), np.argsort(counts))
 
 
 def soup_of(count: int, seed: int = 0) -> Soup:

@@ -44,6 +44,7 @@ class Block:
 MAIN, PRIORS = ("C0", "C1", "C2"), ("B2", "B3", "B4", "B5")
 WORDS, PAIR = ("T1", "T2"), ("sphere", "torus")
 REST = tuple(each for each in shapes_of("analytic", "loop group", "void group", "bowls") if each not in PAIR)
+STRONG = {"protection": 2.0, "subdivided": 0.2}  # the strongest levers of the allocation's search
 SUSPECTS = ("sphere", "armadillo", "horse")  # C1 far below the paper's on two, at the paper's on one
 
 STUDIES: dict[str, tuple[Block, ...]] = {
@@ -74,8 +75,19 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(("sphere",), ("B1",), range(5)),
     ),
     # Ours: does what is said of the priors hang on the levers' strength? The strongest of the search.
-    "allocation_strong": (
-        Block(("sphere", "torus"), ("B4", "B5"), range(2), allocation={"protection": 2.0, "subdivided": 0.2}),
+    "allocation_strong": (Block(("sphere", "torus"), ("B4", "B5"), range(2), allocation=STRONG),),
+    # RH1, on every shape: does a prior that knows no place reach the loss? Random centres at the strongest of
+    # the search; and no field at all: as many halvings at random, the order of pruning untouched.
+    "allocation_blind": tuple(
+        Block(shapes, ("B5",), seeds, allocation=levers)
+        for shapes, seeds in ((PAIR, range(5)), (REST, range(3)))
+        for levers in (STRONG, {"centres": "noise", "protection": 0.0, "subdivided": 0.2})
+    ),
+    # S2: what λ and share are, asked of the sphere's row and the torus's paragraph together.
+    "allocation_fit": tuple(
+        Block(PAIR, PRIORS, range(5), allocation={"protection": protection, "subdivided": subdivided})
+        for protection in (0.5, 1.0, 1.5)
+        for subdivided in (0.01, 0.02, 0.05)
     ),
     "composition": (  # RH3: Table 1's C5; cube and spot are a check of ours
         Block(("sphere", "torus"), ("C5",), range(5)),
