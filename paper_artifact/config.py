@@ -272,7 +272,9 @@ def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
         if not equals or not name:
             raise InputError(f"{option} takes NAME=VALUE, got {_brief(text)}")
         try:
-            parsed[name.replace("-", "_")] = ast.literal_eval(value)
+            parsed[name.replace("-", "_")] = number = ast.literal_eval(value)
+            if isinstance(number, int | float) and "_" in value:  # Python reads 1_0 as 10
+                raise TypeError
         except (ValueError, SyntaxError):
             parsed[name.replace("-", "_")] = value
         except (RecursionError, MemoryError, TypeError) as error:

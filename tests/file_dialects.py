@@ -143,6 +143,7 @@ FILES: dict[str, dict[str, Any]] = {
         "text, 'end solid'": STL_TEXT.replace("end", "end "),
         "text after a comment": "# made by hand\n" + STL_TEXT,
         "text, several solids": STL_TEXT.replace("endfacet\n", "endfacet\nendsolid\nsolid b\n", 1),
+        "text with 100,000 empty lines in a facet": STL_TEXT.replace("outer", "\n" * 100_000 + "outer", 1),
         "text cut off": (STL_TEXT[:-60], "cut off before its 'endsolid'"),
         "binary whose header names solids and facets": stl(head=b"solid of facets", end=b"\0\0"),
         "text, four vertices in one facet and two in the next": (UNEVEN, "not three for each"),

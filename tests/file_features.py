@@ -272,6 +272,11 @@ FEATURES: list[Feature] = [
         "requires the glTF extension ACME_voxels",
     ),
     gltf(
+        "required extension of moving or compressed geometry (MPEG)",
+        lambda made: made.document(extensionsRequired=["MPEG_accessor_timed"]),
+        "requires the glTF extension MPEG_accessor_timed",
+    ),
+    gltf(
         "required extension of materials, textures, lights",
         lambda made: made.document(extensionsRequired=["KHR_materials_unlit", "KHR_texture_transform"]),
     ),
@@ -288,6 +293,13 @@ FEATURES: list[Feature] = [
         lambda made: made.cube() | {"indices": made.add([0, 1, 8], "u2")},
         "vertex 8 of 8",
     ),
+    gltf(
+        "indices that are no whole numbers",
+        lambda made: made.cube() | {"indices": made.add(FACES.ravel() + 0.6)},
+        "no unsigned whole numbers",
+    ),
+    gltf("a scale of one number", placed({"mesh": 0, "scale": [2]}), "scale is [2], not 3 numbers"),
+    gltf("a matrix with a perspective", placed({"mesh": 0, "matrix": [*MIRROR[:15], 2]}), "not 0, 0, 0, 1"),
     separate("buffer in a file, %20 in its name", "my%20cube.bin"),
     separate("buffer in a data URI", "data"),
     separate("buffer in a data URI with escapes", "quoted"),

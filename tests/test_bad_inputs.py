@@ -40,6 +40,7 @@ C1 = "train sphere --condition C1 --loss"
         ("train sphere --set=steps=5", "steps has an argument of its own"),
         ("train sphere --set=loss=5", "loss has an argument of its own"),
         ("train sphere --set=allocation=5", "allocation has an argument of its own or is the condition's"),
+        ("train sphere --set=budget=1_0", "budget: '1_0' is no number, text or list of these"),
         ("train sphere --set=budget={[1]:2}", "budget: '{[1]:2}' is no number, text or list of these"),
         ("train sphere --set budget", "--set takes NAME=VALUE"),
         ("train sphere --loss rho=0.2", "condition C0 has no loss, so it takes no loss settings (rho)"),

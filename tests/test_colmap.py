@@ -81,6 +81,10 @@ def test_names_of_numbers_are_no_observations(tmp_path):
     lines = "".join(f"{n} 1 0 0 0 1 2 3 2 {n} of 4\n" for n in range(1, 5))
     model = read_model(write_text(tmp_path, images_txt=lines))
     assert [pose.name for pose in model.images.values()] == [f"{n} of 4" for n in range(1, 5)]
+    for between in ("", "\n", "10.5 2.5 -1 3 4 -1\n"):
+        lines = "".join(f"{n} 1 0 0 0 1 2 3 2 2024 01 {n}\n{between}" for n in range(1, 5))
+        model = read_model(write_text(tmp_path, images_txt=lines))
+        assert [pose.name for pose in model.images.values()] == [f"2024 01 {n}" for n in range(1, 5)]
 
 
 def test_binary_with_observations_and_tracks_as_colmap_writes_it(tmp_path):

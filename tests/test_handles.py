@@ -141,6 +141,30 @@ def test_the_command_marks_fills_and_cuts(tmp_path, command):
     assert len(load_mesh(tmp_path / "w.ply").faces) > 27648
 
 
+def test_a_flat_component_encloses_nothing(tmp_path, command):
+    pillow = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nf 4 3 2 1\n"
+    beside = "v 2 0 0\nv 3 0 0\nv 2 1 0\nv 2 0 1\nf 5 7 6\nf 5 6 8\nf 6 7 8\nf 7 5 8\n"
+    for text, count in ((pillow, 0), (pillow + beside, 1)):
+        (tmp_path / "p.obj").write_text(text)
+        for page in ("p.html", "p.ply"):
+            command(f"certify {tmp_path}/p.obj --where {tmp_path}/{page} --json {tmp_path}/p.json --quiet")
+        assert len(json.loads((tmp_path / "p.json").read_text())["where"]) == count
+
+
+def test_of_a_surface_that_crosses_itself_what_is_said_may_be_wrong(tmp_path, command):
+    u, v = np.meshgrid(*(np.arange(n) * 2 * np.pi / n for n in (40, 24)), indexing="ij")
+    out = 3 + 0.8 * np.sin(v)
+    points = np.stack([out * np.cos(u), out * np.sin(u), 0.4 * np.sin(2 * v)], axis=-1).reshape(-1, 3)
+    a, b = (np.roll(np.arange(960).reshape(40, 24), -step, axis=0).ravel() for step in (0, 1))
+    c, d = (np.roll(each.reshape(40, 24), -1, axis=1).ravel() for each in (b, a))
+    eight = Mesh(points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), "eight")
+    assert all((np.abs(each.centre) <= np.abs(points).max(axis=0)).all() for each in find_voids(eight))
+    trimesh.Trimesh(points, eight.faces, process=False).export(tmp_path / "eight.ply")
+    said = command(f"certify {tmp_path}/eight.ply --where {tmp_path}/e.html --quiet").out
+    assert "triangles cross or touch others; loops and voids there may be wrong" in said
+    assert "cross or touch" not in command(f"certify torus --where {tmp_path}/e.html --quiet").out
+
+
 @pytest.mark.parametrize(
     "wish, code, said",
     [

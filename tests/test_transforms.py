@@ -123,6 +123,7 @@ def frames(pose=None, file_path="train/r_0"):
         ({"ply_file_path": "."}, "names the cloud ., which is not there"),
         ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
         ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),
+        ({"distortion_params": [0.1, 0, 0.01, 0]}, "has 4 numbers, not the six k1, k2, k3, k4, p1, p2"),
         ({"fl_x": 1e300}, "are none of a camera of 60 pixels"),
         ({"w": 1e-300, "fl_x": 70.0}, "are none of a camera of 60 pixels"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR, which is not read"),

@@ -14,7 +14,7 @@ import numpy as np
 from paper_artifact.audit.rule import DENSITIES, WORKING, counted
 from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, words_of
-from paper_artifact.cli.output import next_command, to_string
+from paper_artifact.cli.output import next_command, next_mesh, to_string
 from paper_artifact.errors import InputError, quoted
 from paper_artifact.files import RESULTS, cut_name, load_json, renewed_folder, write_json, write_text
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
@@ -112,6 +112,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     from paper_artifact.export.models import write_ply
     from paper_artifact.export.viewer import framing, html_page, up_of
     from paper_artifact.frame import frame_for
+    from paper_artifact.ingest.crossings import crossing_faces
     from paper_artifact.ingest.handles import HANDLE, HOLE, find_loops, find_voids
     from paper_artifact.ingest.solidify import write_shell
     from paper_artifact.ingest.surgery import cut_and_capped
@@ -144,6 +145,9 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         if len(found) < genus:
             lost = genus - len(found)
             print(f"  (no short loop was found around {lost} of {genus} {kind}s: they are knotted)")
+    if crossed := int(crossing_faces(mesh.vertices, mesh.faces).sum()):
+        print(f"  ({crossed} triangles cross or touch others; loops and voids there may be wrong)")
+        print(next_mesh("ingest", options.mesh))
     if options.where is not None:
         frame = frame_for(mesh.centre, mesh.radius)
         parts = view_parts(light_mesh(mesh), marks, frame, colours)

@@ -34,7 +34,7 @@ READ = (DRACO, INSTANCES, VISIBILITY, "KHR_mesh_quantization")
 HARMLESS = re.compile(
     "KHR_(materials_|texture_|lights_|xmp|animation_|node_|physics|interactivity|audio)|MSFT_(texture_|lod)|"
     "EXT_(texture_|lights_|mesh_features|mesh_manifold|instance_features|structural_metadata)|"
-    "ADOBE_materials_|AGI_|CESIUM_primitive_outline|FB_|MPEG_|VRM|GODOT_"
+    "ADOBE_materials_|AGI_|CESIUM_primitive_outline|FB_|MPEG_(media|texture_|audio_)|VRM|GODOT_"
 )
 
 
@@ -179,7 +179,7 @@ class _Reader:
             points = self.accessor(named["POSITION"]).astype(np.float64)
             index = np.arange(len(points))
             if "indices" in primitive:
-                index = self.accessor(primitive["indices"]).reshape(-1).astype(np.int64)
+                index = _whole(self.accessor(primitive["indices"])).reshape(-1)
         for weight, target in zip(weights, primitive.get("targets", ()), strict=False):
             if weight and "POSITION" in target:
                 points = points + weight * self.accessor(target["POSITION"])
@@ -260,9 +260,8 @@ class _Reader:
         if "sparse" in entry:
             sparse, values = entry["sparse"], values.copy()
             number, at, new = int(sparse["count"]), sparse["indices"], sparse["values"]
-            where = self.values(
-                at["bufferView"], at.get("byteOffset", 0), number, 1, np.dtype(TYPES[at["componentType"]])
-            ).reshape(-1)
+            kind_at = np.dtype(TYPES[at["componentType"]])
+            where = _whole(self.values(at["bufferView"], at.get("byteOffset", 0), number, 1, kind_at)).ravel()
             if where.max(initial=0) >= count:
                 raise ValueError(f"a sparse accessor of {count} values replaces value {where.max()}")
             values[where] = self.values(new["bufferView"], new.get("byteOffset", 0), number, width, kind)
@@ -321,6 +320,13 @@ class _Reader:
         return data
 
 
+def _whole(index: np.ndarray) -> np.ndarray:
+    """Return indices as int64."""
+    if index.dtype.kind != "u":
+        raise ValueError("it has indices that are no unsigned whole numbers")
+    return index.astype(np.int64)
+
+
 def _normalized(values: np.ndarray, accessor: dict) -> np.ndarray:
     """Return normalized integers as float64 in [-1,1] or [0,1], all else as it is."""
     if not accessor.get("normalized") or values.dtype.kind == "f":
@@ -331,9 +337,16 @@ def _normalized(values: np.ndarray, accessor: dict) -> np.ndarray:
 def _local(node: dict) -> np.ndarray:
     """Return a node's own matrix (4,4): `matrix`, or translation · rotation · scale."""
     if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+        if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            raise ValueError(f"a node's matrix has the last row {matrix[3].tolist()}, not 0, 0, 0, 1")
+        return matrix
+    parts = []
+    for name, usual in (("rotation", (0, 0, 0, 1)), ("scale", (1, 1, 1)), ("translation", (0, 0, 0))):
+        parts.append(np.array(node.get(name, usual), dtype=np.float64))
+        if parts[-1].shape != (len(usual),):
+            raise ValueError(f"a node's {name} is {node[name]}, not {len(usual)} numbers")
     result = np.eye(4)
-    result[:3, :3] = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
-    result[:3, :3] *= np.asarray(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
-    result[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    result[:3, :3] = Rotation.from_quat(parts[0]).as_matrix() * parts[1]
+    result[:3, 3] = parts[2]
     return result

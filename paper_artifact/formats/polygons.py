@@ -34,7 +34,7 @@ def read_obj(data: bytes) -> Triangles:
     known: list[int] = []  # points before a face: negative indices count from there
     text = re.sub(r"#[^\n]*", "", decoded(data))  # before lines are joined: it may end in a backslash
     number = 0  # of the line
-    for line in text.replace("\\\n", " \v").split("\n"):  # \v, a blank: here the file had another line
+    for line in re.sub(r"\\[ \t]*\n", " \v", text).split("\n"):  # \v, a blank: here the file had another line
         number += 1 + line.count("\v")
         keyword, *words = line.split() or ("",)
         keyword = keyword.lower()
@@ -102,7 +102,7 @@ def read_stl(data: bytes) -> Triangles:
     count = int.from_bytes(data[80:84], "little")
     text = "" if len(data) == 84 + 50 * count else decoded(data).lower()
     if "\0" not in text and ("facet" in text or (len(data) < 84 and text.lstrip().startswith("solid"))):
-        pattern = r"^\s*(?:((?:end[ \t]*)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
+        pattern = r"^[^\S\n]*(?:((?:end[ \t]*)?(?:solid|facet))\b|vertex\s+(\S+)\s+(\S+)\s+(\S+))"
         found = re.findall(pattern, text, re.MULTILINE)
         words = ["".join(word.split()) or "vertex" for word, *_ in found]
         facets, vertices = words.count("facet"), [each for word, *each in found if not word]
@@ -179,9 +179,9 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
             case ["element", name, number]:
                 elements.append((name, whole(number), []))
             case ["property", "list", size, kind, name] if elements:
-                elements[-1][2].append((name, PLY_TYPES[size], PLY_TYPES[kind]))
+                elements[-1][2].append((name, _ply_type(size), _ply_type(kind)))
             case ["property", kind, name] if elements:
-                elements[-1][2].append((name, "", PLY_TYPES[kind]))
+                elements[-1][2].append((name, "", _ply_type(kind)))
     if min((count for _, count, _ in elements), default=0) < 0:
         raise ValueError("it declares a negative number of elements")
     named = [[name for name, *_ in elements], *([name for name, *_ in columns] for *_, columns in elements)]
@@ -200,6 +200,12 @@ def read_ply_elements(data: bytes) -> dict[str, dict]:
     if left:
         raise ValueError(f"it holds {left} {'bytes' if order else 'numbers'} more than it declares")
     return found
+
+
+def _ply_type(name: str) -> str:
+    if name not in PLY_TYPES:
+        raise ValueError(f"it declares values of the type {name}, which PLY does not have")
+    return PLY_TYPES[name]
 
 
 def _rows(

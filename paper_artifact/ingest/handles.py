@@ -318,7 +318,8 @@ def _independent(candidates: Iterable[tuple], count: int) -> list[tuple]:
 
 
 def find_voids(mesh: Mesh) -> tuple[Void, ...]:
-    """Return what the components of a closed, consistently wound Mesh enclose, the largest first."""
+    """Return what the components of a closed, consistently wound Mesh enclose, the largest first. A component
+    in which no ball fits, as one that is flat, encloses nothing."""
     labels, volumes = _components(mesh)
     labels = labels[mesh.faces[:, 0]]
     voids = []
@@ -327,12 +328,17 @@ def find_voids(mesh: Mesh) -> tuple[Void, ...]:
         points, of_face, _ = sample_surface(mesh.vertices, faces, 8000, stream(0, "void"))
         a, b, c = (mesh.vertices[faces[of_face[:400], i]] for i in range(3))
         normal = np.cross(b - a, c - a) * np.sign(volume)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         away = points[:400, None] - points
         height = np.einsum("nmi,ni->nm", away, normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             radii = np.where(height > 1e-9 * mesh.diagonal, (away**2).sum(axis=2) / (2 * height), np.inf)
         radius = radii.min(axis=1)
-        best = int(np.where(np.isfinite(radius), radius, 0).argmax())
-        voids.append(Void(points[best] - radius[best] * normal[best], float(radius[best]), volume))
+        radius[~np.isfinite(radius)] = 0.0
+        centres = points[:400] - radius[:, None] * normal
+        low, high = (limit(mesh.vertices[faces], axis=(0, 1)) for limit in (np.min, np.max))
+        radius[((centres < low) | (centres > high)).any(axis=1)] = 0.0  # no ball of this component
+        best = int(radius.argmax())
+        if radius[best] > 0:
+            voids.append(Void(centres[best], float(radius[best]), volume))
     return tuple(sorted(voids, key=lambda each: -abs(each.volume)))

@@ -324,13 +324,15 @@ def _read_images_text(data: bytes) -> dict[int, Pose]:
 
 
 def _is_observations(line: str) -> bool:
-    """Whether a line of images.txt lists x, y and point id again and again, not an image with its name."""
+    """Whether a line of images.txt lists x, y and point id again and again, not an image: that has a name,
+    and where its name is numbers a quaternion of length 1 in its second to fifth place."""
     words = line.split()
     try:
-        _ = [float(word) for word in (words[0], *words[9:30], words[-1])]
+        numbers = [float(word) for word in (*words[:5], *words[9:30], words[-1])]
     except ValueError:
         return False
-    return len(words) % 3 == 0
+    image = len(words) > 9 and numbers[0].is_integer() and abs(math.hypot(*numbers[1:5]) - 1) < 0.01
+    return len(words) % 3 == 0 and not image
 
 
 def _read_points_text(data: bytes) -> tuple[np.ndarray, ...]:

@@ -205,7 +205,13 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
             "if it lists columns, transpose it"
         )
     both = root | own
-    both = dict(zip(OPENCV, both.get("distortion_params") or (), strict=False)) | both
+    listed = both.get("distortion_params") or ()
+    if len(listed) not in (0, len(OPENCV)):
+        raise InputError(
+            f"{file}: distortion_params of {name} has {len(listed)} numbers, not the six "
+            f"{', '.join(OPENCV)}; give each under its own name instead"
+        )
+    both = dict(zip(OPENCV, listed, strict=False)) | both
     model = str(both.get("camera_model") or "PINHOLE").upper()
     lens = next(
         (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
