@@ -154,7 +154,7 @@ class AllocationConfig:
 
     centres: str = _setting(
         "topological",
-        "birth and death vertices, drawn per seed, or noise in place of the field",
+        "of features, drawn per seed, or noise for a field",
         choices=("topological", "random", "noise"),
     )
     spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", 1e-6, high=MOST)
