@@ -85,7 +85,7 @@ ARMS = DESIGNS | {
     "B5, strong": ("B5", {}),
 }
 ORDER = (("C0", "T3"), ("C1", "T1"), tuple(ARMS)[4:])  # what is asked first
-STRONG = {"protection": 2.0, "subdivided": 0.2}  # of the study allocation_strong
+STRONG = {"protection": 2.0, "subdivided": 0.2}  # of the study allocation_blind
 
 
 def cases(table: str) -> Iterator[tuple[str, Betti | None, str, int]]:

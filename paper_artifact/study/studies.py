@@ -74,8 +74,6 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         Block(("sphere", "torus", "cube", "cylinder"), ("C0", *PRIORS), range(5)),
         Block(("sphere",), ("B1",), range(5)),
     ),
-    # Ours: does what is said of the priors hang on the levers' strength? The strongest of the search.
-    "allocation_strong": (Block(("sphere", "torus"), ("B4", "B5"), range(2), allocation=STRONG),),
     # RH1, on every shape: does a prior that knows no place reach the loss? Random centres at the strongest of
     # the search; and no field at all: as many halvings at random, the order of pruning untouched.
     "allocation_blind": tuple(
@@ -83,9 +81,9 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         for shapes, seeds in ((PAIR, range(5)), (REST, range(3)))
         for levers in (STRONG, {"centres": "noise", "protection": 0.0, "subdivided": 0.2})
     ),
-    # S2: what λ and share are, asked of the sphere's row and the torus's paragraph together.
+    # S2: λ and share asked of the sphere and the torus together; one seed so far.
     "allocation_fit": tuple(
-        Block(PAIR, PRIORS, range(5), allocation={"protection": protection, "subdivided": subdivided})
+        Block(PAIR, PRIORS, range(1), allocation={"protection": protection, "subdivided": subdivided})
         for protection in (0.5, 1.0, 1.5)
         for subdivided in (0.01, 0.02, 0.05)
     ),
