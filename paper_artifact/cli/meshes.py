@@ -156,7 +156,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
             seen = framing(frame.inward(mesh.vertices), up=up_of(options.mesh))
             write_text(options.where, html_page(parts, f"{mesh.name}: {told}", seen))
         else:
-            write_ply(options.where, parts["seen through"], frame)
+            write_ply(options.where, [*parts.values()][-1], frame)
         print(options.where)
     asked = next(((kind, n) for kind, n in ((HOLE, options.fill), (HANDLE, options.cut)) if n), None)
     if asked is not None:
