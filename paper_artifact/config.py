@@ -153,7 +153,7 @@ class AllocationConfig:
     """
 
     centres: str = _setting(
-        "topological", "features', drawn, or noise for a field", choices=("topological", "random", "noise")
+        "topological", "features', drawn per seed, or no field", choices=("topological", "random", "noise")
     )
     spread: float = _setting(1.0, "s, widens each kernel at constant mass; 3: B4", 1e-6, high=MOST)
     levers: str = _setting(

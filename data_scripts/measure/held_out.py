@@ -28,6 +28,7 @@ from paper_artifact.files import atomic_path
 from paper_artifact.mesh import load_mesh
 from paper_artifact.pipeline import run
 from paper_artifact.results import MEASURED
+from paper_artifact.study.studies import STRONG
 
 OWN: dict[str, Any] = {"budget": 1500}
 SAMPLES = 8192
@@ -85,7 +86,6 @@ ARMS = DESIGNS | {
     "B5, strong": ("B5", {}),
 }
 ORDER = (("C0", "T3"), ("C1", "T1"), tuple(ARMS)[4:])  # what is asked first
-STRONG = {"protection": 2.0, "subdivided": 0.2}  # of the study allocation_blind
 
 
 def cases(table: str) -> Iterator[tuple[str, Betti | None, str, int]]:

@@ -120,6 +120,8 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
     mesh = checked_mesh(mesh.vertices, mesh.faces, mesh.name)
     with stage_bar(mesh.name, options.quiet) as stage:
         loops, voids = find_loops(mesh, stage), find_voids(mesh)
+        stage("triangles that cross others")
+        crossed = int(crossing_faces(mesh.vertices, mesh.faces).sum())
     of_kind = {kind: [each for each in loops if each.kind == kind] for kind in (HANDLE, HOLE)}
     rows: list[tuple[str, int, str, float, float, str]] = []
     marks: list[Mark] = []
@@ -145,7 +147,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         if len(found) < genus:
             lost = genus - len(found)
             print(f"  (no short loop was found around {lost} of {genus} {kind}s: they are knotted)")
-    if crossed := int(crossing_faces(mesh.vertices, mesh.faces).sum()):
+    if crossed:
         print(f"  ({crossed} triangles cross or touch others; loops and voids there may be wrong)")
         print(next_mesh("ingest", options.mesh))
     if options.where is not None:
@@ -156,7 +158,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
             seen = framing(frame.inward(mesh.vertices), up=up_of(options.mesh))
             write_text(options.where, html_page(parts, f"{mesh.name}: {told}", seen))
         else:
-            write_ply(options.where, [*parts.values()][-1], frame)
+            write_ply(options.where, parts["seen through" if marks else "mesh"], frame)
         print(options.where)
     asked = next(((kind, n) for kind, n in ((HOLE, options.fill), (HANDLE, options.cut)) if n), None)
     if asked is not None:
