@@ -17,7 +17,9 @@ numbers = st.tuples(positive, positive, finite, finite)
 pinholes = st.builds(Intrinsics, st.just("PINHOLE"), pixels, pixels, numbers)
 simple = st.builds(Intrinsics, st.just("SIMPLE_PINHOLE"), pixels, pixels, st.tuples(positive, finite, finite))
 letters = st.characters(categories=("L", "N"), include_characters="_-./ ")
-names = st.text(letters, min_size=1, max_size=20).filter(lambda name: name == name.strip())
+names = st.text(letters, min_size=1, max_size=20).filter(
+    lambda name: name == name.strip() and {*name.removeprefix("/").split("/")}.isdisjoint(("", ".", ".."))
+)  # "/" and "a/../b" lie outside of the scene and are refused
 quaternions = st.tuples(finite, finite, finite, finite).filter(lambda q: math.hypot(*q) > 1e-3)
 points = st.tuples(finite, finite, finite, positive, *[st.integers(0, 255)] * 3)
 
