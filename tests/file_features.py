@@ -165,8 +165,8 @@ def morphed(made: Gltf) -> dict:
     return made.document([primitive], meshes=[{"primitives": [primitive], "weights": [0.5, 0.5]}])
 
 
-def skinned(made: Gltf) -> dict:
-    moved = {"JOINTS_0": made.add([[0, 1, 0, 0]] * 8, "u1"), "WEIGHTS_0": made.add([[0.5, 0.5, 0, 0]] * 8)}
+def skinned(made: Gltf, weight: float = 0.5) -> dict:
+    moved = {"JOINTS_0": made.add([[0, 1, 0, 0]] * 8, "u1"), "WEIGHTS_0": made.add([[weight, 0.5, 0, 0]] * 8)}
     primitive = made.cube()
     primitive["attributes"] |= moved
     bind = np.eye(4)
@@ -264,6 +264,7 @@ FEATURES: list[Feature] = [
     gltf("instances (EXT_mesh_gpu_instancing)", instanced, cubes=3),
     gltf("morph targets, at their default weights", morphed),
     gltf("skins, in the pose of their joints", skinned),
+    gltf("skins whose weights add up to .8", lambda made: skinned(made, 0.3), "add up to 0.8, not 1"),
     gltf("Draco (KHR_draco_mesh_compression), with DracoPy", draco),
     gltf("meshopt (EXT_meshopt_compression)", meshopt, "decompress it: npx gltfpack"),
     gltf(

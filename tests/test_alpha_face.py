@@ -204,6 +204,7 @@ def test_one_component_never_dies(points):
         ({"max_dimension": -1}, "max_dimension"),
         ({"max_dimension": 1.0}, "max_dimension is 1.0; give a whole number from 0 to 2"),
         ({"max_dimension": "1"}, "max_dimension"),
+        ({"squared": "no"}, "squared is 'no'; give True or False"),
         ({"max_radius": "1"}, "max_radius is '1'; give a number of at least 0"),
         ({"max_radius": None}, "max_radius"),
         ({"max_radius": -1.0}, "max_radius"),

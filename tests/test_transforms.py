@@ -129,6 +129,8 @@ def frames(pose=None, file_path="train/r_0"):
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR, which is not read"),
         ({"camera_model": "OPENCV_FISHEYE", "k1": 0}, "camera_model OPENCV_FISHEYE"),
         ({"is_fisheye": True}, "is_fisheye"),
+        ({"camera_type": "ORTHO"}, "camera_type ORTHO, which is not read"),
+        ({"skew": 2.5}, "skew 2.5, which is not read"),
         ({"w": 60, "h": 45}, "another aspect"),
         ({"cx": 640.0, "cy": 360.0}, "add w and h"),
         ({"ply_file_path": "gone.ply"}, "the cloud gone.ply, which is not there"),

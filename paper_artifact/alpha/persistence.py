@@ -96,6 +96,9 @@ def alpha_persistence(
     points = check_points(points)
     top = points.shape[1] - 1
     top = top if max_dimension is None else whole("max_dimension", max_dimension, 0, top)
+    for name, value in (("infinite", infinite), ("squared", squared), ("as_given", as_given)):
+        if not isinstance(value, bool | np.bool_):
+            raise InputError(f"{name} is {value!r:.60}; give True or False")
     limit = real(max_radius)
     if not limit >= 0:
         raise InputError(f"max_radius is {max_radius!r:.60}; give a number of at least 0")

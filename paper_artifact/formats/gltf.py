@@ -26,6 +26,7 @@ from paper_artifact.formats.polygons import Triangles, strip_triangles
 
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+ROUNDED = 0.02  # the most that a point's skin weights, often bytes, may miss 1 by
 MOST_FACES = 20_000_000  # of a file, its instances counted each time
 DRACO, INSTANCES, VISIBILITY = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -207,6 +208,7 @@ class _Reader:
             )
             joints.append(self.world[number] @ bind)
         moved, named, turn = np.zeros_like(points), primitive["attributes"], 0
+        shares = np.zeros((len(points), 1))
         while f"JOINTS_{turn}" in named:
             of, share = self.accessor(named[f"JOINTS_{turn}"]), self.accessor(named[f"WEIGHTS_{turn}"])
             if of.max(initial=0) >= len(joints):
@@ -215,8 +217,12 @@ class _Reader:
                 matrix = np.stack(joints)[of[:, corner].astype(np.int64)]
                 one = np.einsum("nij,nj->ni", matrix[:, :3, :3], points) + matrix[:, :3, 3]
                 moved += share[:, corner, None] * one
+                shares += share[:, corner, None]
             turn += 1
-        return moved if turn else points
+        if turn and not np.abs(shares - 1).max(initial=0) <= ROUNDED:
+            worst = shares.flat[np.abs(shares - 1).argmax()]
+            raise ValueError(f"the skin's weights of a point add up to {worst:g}, not 1")
+        return moved / shares if turn else points
 
     def unpacked(self, packed: dict, accessor: dict) -> tuple[np.ndarray, np.ndarray]:
         """Return the points (V,3) float64 and indices of what Draco compressed."""

@@ -43,11 +43,12 @@ from paper_artifact.scene.subject import hull_cloud, view_box
 FORMAT = 1  # raised whenever the same file would give another scene
 CLOUDS = ("hull", "random")
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")  # tried after a frame's file_path, in this order
-LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # of camera_model
+LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # of MODELS
+MODELS = ("camera_model", "camera_type")
 # Where one of these is not zero, rays run in a way that is not read.
 OTHER_LENSES = (
     *("is_fisheye", "fisheye", "is_latlong", "latlong", "equirectangular", "is_equirectangular"),
-    *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6"),
+    *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6", "skew"),
 )
 KEYED = ("white_transparent", "black_transparent", "mask_color")  # of instant-ngp: colours that are clear
 OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distortion_params
@@ -212,11 +213,9 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
             f"{', '.join(OPENCV)}; give each under its own name instead"
         )
     both = dict(zip(OPENCV, listed, strict=False)) | both
-    model = str(both.get("camera_model") or "PINHOLE").upper()
-    lens = next(
-        (f"{each} {both[each]}" for each in OTHER_LENSES if np.any(both.get(each) or 0)),
-        None if model in LENSES else f"camera_model {model}",
-    )
+    models = [each for each in MODELS if str(both.get(each) or LENSES[0]).upper() not in LENSES]
+    rays = [each for each in OTHER_LENSES if np.any(both.get(each) or 0)]
+    lens = next((f"{each} {both[each]}" for each in rays + models), None)
     keyed = [each for each in KEYED if both.get(each)]
     if keyed:
         raise InputError(

@@ -81,11 +81,19 @@ STUDIES: dict[str, tuple[Block, ...]] = {
         for shapes, seeds in ((PAIR, range(5)), (REST, range(3)))
         for levers in (STRONG, {"centres": "noise", "protection": 0.0, "subdivided": 0.2})
     ),
-    # S2: λ and share asked of the sphere and the torus together; one seed so far.
-    "allocation_fit": tuple(
-        Block(PAIR, PRIORS, range(1), allocation={"protection": protection, "subdivided": subdivided})
-        for protection in (0.5, 1.0, 1.5)
-        for subdivided in (0.01, 0.02, 0.05)
+    # S2: λ and share asked of the sphere and the torus together: one seed of all, then the share that scored
+    # best with five, beside the cube and the cylinder that λ is to predict.
+    "allocation_fit": (
+        *(
+            Block(PAIR, PRIORS, range(1), allocation={"protection": protection, "subdivided": subdivided})
+            for protection in (0.5, 1.0, 1.5)
+            for subdivided in (0.01, 0.02, 0.05)
+        ),
+        *(
+            Block(shapes, PRIORS, seeds, allocation={"protection": protection, "subdivided": 0.01})
+            for shapes, seeds in ((PAIR, range(1, 5)), (("cube", "cylinder"), range(5)))
+            for protection in (0.5, 1.0, 1.5)
+        ),
     ),
     "composition": (  # RH3: Table 1's C5; cube and spot are a check of ours
         Block(("sphere", "torus"), ("C5",), range(5)),
