@@ -161,10 +161,10 @@ class AllocationConfig:
         "protect and respawn (B2–B5), or the first triangles (B1)",
         choices=("resampling", "start"),
     )
-    protection: float = _setting(
-        1.0, "λ of the prune order: pixels + λ · Q.9(pixels) · importance", 0, high=MOST
-    )
+    simplices: str = _setting("both", "of a feature, whose vertices are centres", choices=("both", "death"))
+    protection: float = _setting(1.0, "λ of pruning: pixels + λ · Q.9(pixels) · importance", 0, high=MOST)
     subdivided: float = _setting(0.1, "share of the budget that a resampling subdivides", 0, high=1)
+    subdivided_from: float = _setting(0.0, "the least importance that is subdivided", 0, high=1)
     samples: int = _setting(2048, "M, points of the bundle that makes the field", 4, high=MOST_SAMPLES)
     bundle_seed: int = _setting(0, "seed of that bundle's samples", 0, high=LAST_SEED)
 

@@ -104,7 +104,7 @@ def make_run_importance(config: RunConfig, allocation: AllocationConfig, mesh: M
     if allocation.centres == "noise":
         return ImportanceField(dense, draws.random(DENSE))
     points = sample(allocation.samples, stream(allocation.bundle_seed, "bundle-samples"))
-    kernels = feature_kernels(points, mesh.diagonal, allocation.spread)
+    kernels = feature_kernels(points, mesh.diagonal, allocation)
     if allocation.centres == "random":
         kernels = [replace(each, centres=sample(len(each.centres), draws)) for each in kernels]
     return importance_field(kernels, dense)

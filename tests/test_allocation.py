@@ -26,7 +26,7 @@ from tests.test_alpha_pairs import torus
 def test_kernels_are_the_papers():
     points = torus(800)
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    narrow, wide = feature_kernels(points, diagonal, 1.0), feature_kernels(points, diagonal, 3.0)
+    narrow, wide = (feature_kernels(points, diagonal, AllocationConfig(spread=s)) for s in (1.0, 3.0))
     for one, three in zip(narrow, wide, strict=True):
         assert len(one.centres) >= 3 and np.array_equal(one.centres, three.centres)
         assert {tuple(row) for row in one.centres} <= {tuple(row) for row in points}
@@ -35,6 +35,10 @@ def test_kernels_are_the_papers():
         np.testing.assert_allclose(*mass)
         assert one.widths.min() >= 3 * median_spacing(points) * (1 - 1e-12)
         assert one.widths.max() <= diagonal / 2
+    death = feature_kernels(points, diagonal, AllocationConfig(simplices="death"))
+    for one, fewer in zip(narrow, death, strict=True):  # a feature's last simplex alone
+        assert {tuple(row) for row in fewer.centres} < {tuple(row) for row in one.centres}
+    assert len(death[0].centres) % 3 == 0  # loops die with a triangle
     kernels = narrow[0]
     query = np.array([[0.3, 0.2, 0.1], [1.0, 0.0, 0.4]])
     squares = ((query[:, None] - kernels.centres) ** 2).sum(axis=2)
@@ -145,9 +149,26 @@ def test_a_resampling_leaves_exactly_as_many_triangles_as_the_plain_rule(count, 
     assert late_report["after"] == late_report["pruned"] == len(late)  # nothing is made when nothing is split
 
 
+def test_halving_stops_at_the_least_importance():
+    corners, visible = np.random.default_rng(1).random((40, 3, 3)).astype(np.float32), np.arange(40) % 4 > 0
+
+    def importance(points):
+        return points[:, 0]
+
+    for share, least in ((0.2, 0.0), (1.0, 0.5), (0.2, 0.5)):
+        config = replace(
+            study_config("sphere", "B4", allocation={"subdivided": share, "subdivided_from": least}),
+            budget=40,
+        )
+        halved = Resampler(config, importance=importance).halved(corners, visible)
+        values = np.where(visible, corners.mean(axis=1)[:, 0], -1)
+        wanted = [i for i in np.argsort(-values)[: round(share * 40)] if values[i] >= least]
+        assert sorted(wanted) == halved.tolist() and 0 < len(wanted) < 40
+
+
 def test_a_share_of_less_than_a_triangle_and_a_target_without_features_are_refused():
     with pytest.raises(InputError, match="no significant feature at M = 100"):
-        feature_kernels(np.random.default_rng(0).random((100, 3)), 3**0.5, 1.0)
+        feature_kernels(np.random.default_rng(0).random((100, 3)), 3**0.5, AllocationConfig())
     with pytest.raises(InputError, match="budget of 3 triangles is smaller than the protected share"):
         config = replace(study_config("sphere", "B2"), budget=3)
         Resampler(config, importance=lambda points: points[:, 0])

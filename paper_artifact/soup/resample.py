@@ -70,11 +70,13 @@ class Resampler:
 
     def halved(self, corners: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """Return the indices (k,) of the triangles to halve whatever their size: the `visible` (T,) bool ones
-        of the highest importance at the centroids of their `corners` (T,3,3), ties by index."""
+        of the highest importance at the centroids of their `corners` (T,3,3), ties by index, as far as it is
+        at least `subdivided_from`."""
         assert self.importance is not None
         rows, count = np.flatnonzero(visible), round(self.prior.subdivided * self.config.budget)
         values = self.importance(corners[rows].mean(axis=1))
-        return np.sort(rows[np.argsort(-values, kind="stable")[:count]])
+        first = np.argsort(-values, kind="stable")[:count]
+        return np.sort(rows[first[values[first] >= self.prior.subdivided_from]])
 
     def resample(
         self, soup: Soup, world_to_clip: np.ndarray, height: int, width: int, step: int

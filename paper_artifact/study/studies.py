@@ -45,6 +45,7 @@ MAIN, PRIORS = ("C0", "C1", "C2"), ("B2", "B3", "B4", "B5")
 WORDS, PAIR = ("T1", "T2"), ("sphere", "torus")
 REST = tuple(each for each in shapes_of("analytic", "loop group", "void group", "bowls") if each not in PAIR)
 STRONG = {"protection": 2.0, "subdivided": 0.2}  # the strongest levers of the allocation's search
+FIRM = {"protection": 1.0, "subdivided": 0.01}  # λ of 1 at the catalogue's share
 SUSPECTS = ("sphere", "armadillo", "horse")  # C1 far below the paper's on two, at the paper's on one
 
 STUDIES: dict[str, tuple[Block, ...]] = {
@@ -93,6 +94,17 @@ STUDIES: dict[str, tuple[Block, ...]] = {
             Block(shapes, PRIORS, seeds, allocation={"protection": protection, "subdivided": 0.01})
             for shapes, seeds in ((PAIR, range(1, 5)), (("cube", "cylinder"), range(5)))
             for protection in (0.5, 1.0, 1.5)
+        ),
+    ),
+    # S2: what else App. A leaves open, at λ = 1 with one seed: centres at death simplices alone; a share that
+    # the field's width decides; a first prune of less.
+    "allocation_forms": (
+        Block(PAIR, PRIORS, range(1), allocation=FIRM | {"simplices": "death"}),
+        Block(PAIR, PRIORS, range(1), allocation=FIRM | {"subdivided": 1.0, "subdivided_from": 0.5}),
+        *(
+            Block(PAIR, conditions, range(1), allocation=prior, changes={"initial_ratio": ratio})
+            for ratio in (1.0, 2.0)
+            for conditions, prior in ((("C0",), {}), (PRIORS, FIRM))
         ),
     ),
     "composition": (  # RH3: Table 1's C5; cube and spot are a check of ours

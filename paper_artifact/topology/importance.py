@@ -2,8 +2,8 @@
 the field's equation).
 
 Each significant feature of the target gives Gaussian kernels at the vertices of its birth and death
-simplices. Everything here is in world units; a death is a RADIUS (the paper's "death" is the squared alpha
-value, and it takes the root).
+simplices, or of its death simplex alone. Everything here is in world units; a death is a RADIUS (the paper's
+"death" is the squared alpha value, and it takes the root).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.arithmetic import exp
+from paper_artifact.config import AllocationConfig
 from paper_artifact.errors import InputError
 from paper_artifact.topology.floor import measurement_floor, median_spacing, significant
 
@@ -53,13 +54,14 @@ class ImportanceField:
         return self.values[cKDTree(self.samples).query(points)[1]]
 
 
-def feature_kernels(points: np.ndarray, diagonal: float, spread: float) -> list[Kernels]:
+def feature_kernels(points: np.ndarray, diagonal: float, prior: AllocationConfig) -> list[Kernels]:
     """Return the kernels of the dimensions that have significant features, of a target's `points` (M,3),
-    world units.
+    world units, at the vertices of the features' simplices that `prior` names, as widely spread.
 
-    diagonal: of the target, world units; spread: s > 0. A feature is significant when its lifetime exceeds 6
-    r_med(M). Raises InputError when no feature is significant.
+    diagonal: of the target, world units. A feature is significant when its lifetime exceeds 6 r_med(M).
+    Raises InputError when no feature is significant.
     """
+    spread = prior.spread
     floor = measurement_floor(points, diagonal) * diagonal
     spacing = median_spacing(points)
     made = []
@@ -69,7 +71,9 @@ def feature_kernels(points: np.ndarray, diagonal: float, spread: float) -> list[
             continue
         centres, weights, widths = [], [], []
         for row in rows:
-            corners = np.union1d(pairs.birth_simplices[row], pairs.death_simplices[row])
+            corners = pairs.death_simplices[row]
+            if prior.simplices == "both":
+                corners = np.union1d(pairs.birth_simplices[row], corners)
             width = spread * np.clip(pairs.deaths[row], NARROWEST * spacing, WIDEST * diagonal)
             centres.append(points[corners])
             weights += [(pairs.deaths[row] - pairs.births[row]) / spread**2] * len(corners)
