@@ -13,6 +13,7 @@ import pytest
 
 from paper_artifact.cli import scenes  # noqa: F401, its names are patched
 from paper_artifact.errors import InputError
+from paper_artifact.files import PARTIAL
 from paper_artifact.scene import fetch as fetching
 from paper_artifact.scene.fetch import ROLES, photo_sets, sources
 
@@ -121,8 +122,13 @@ def test_a_download_lands_whole_and_what_was_changed_is_not_replaced(out, server
             get("tri", out)
         assert first.path.read_bytes() == BODY[:-1]
         first.path.unlink()
+        left = first.path.parent / f"{PARTIAL}killed"
+        left.mkdir()
+        (left / "a b.obj").write_bytes(BODY[:9])
         assert get("tri", out).path.read_bytes() == BODY and len(asked) == 2
     assert files_below(out) == [first.path]
+    (out / "plain").touch()
+    assert first.path.stat().st_mode == (out / "plain").stat().st_mode  # as the umask has it
 
 
 def test_an_archive_is_kept_and_unpacked_beside_itself(out, server):

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, check_writable, file_digest, write_bytes, write_failure
+from paper_artifact.files import REPOSITORY, atomic_path, file_digest, write_bytes, write_failure
 
 DOWNLOADS = REPOSITORY / "data_scripts" / "downloads"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
@@ -241,15 +241,15 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
                 f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "
                 "add the file, or leave the mirror out to download it"
             )
-    check_writable(target)
     try:
-        pooch.retrieve(place, f"sha256:{entry.sha256}", target.name, target.parent, downloader=reader)
-    except ValueError as error:  # pooch's word for another hash
-        raise InputError(
-            f"{place} is not the pinned file of '{entry.key}' (sha256 {entry.sha256} expected), nothing was "
-            "kept; the transfer broke off, or a proxy or a changed mirror altered it: run the same command "
-            "again, or fetch it elsewhere"
-        ) from error
+        with atomic_path(target) as partial:
+            reader(place, str(partial), None)
+            if not _has_hash(partial, entry.sha256):
+                raise InputError(
+                    f"{place} is not the pinned file of '{entry.key}' (sha256 {entry.sha256} expected), "
+                    "nothing was kept; the transfer broke off, or a proxy or a changed mirror altered it: "
+                    "run the same command again, or fetch it elsewhere"
+                )
     except network.HTTPError as error:
         if error.response is not None:
             error.response.close()
@@ -273,7 +273,7 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
 
 
 def _copy(place: str, output_file: str, _: object) -> None:
-    """Copy a file of a mirror: what pooch calls in place of a download."""
+    """Copy a file of a mirror: in place of pooch's downloader."""
     shutil.copyfile(place, output_file)
 
 
