@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os.path import isfile
@@ -204,7 +206,7 @@ def _zipped(path: Path, welded: bool) -> Mesh:
         raise InputError(
             f"{path} cannot be unpacked here ({error}); unpack it and name the mesh in it"
         ) from error
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, struct.error, zlib.error, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is damaged or no zip archive ({error}); copy it again") from error
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from paper_artifact.cli import scenes  # noqa: F401, its names are patched
 from paper_artifact.errors import InputError
-from paper_artifact.files import PARTIAL
+from paper_artifact.files import LOCK, PARTIAL
 from paper_artifact.scene import fetch as fetching
 from paper_artifact.scene.fetch import ROLES, photo_sets, sources
 
@@ -124,6 +124,7 @@ def test_a_download_lands_whole_and_what_was_changed_is_not_replaced(out, server
         first.path.unlink()
         left = first.path.parent / f"{PARTIAL}killed"
         left.mkdir()
+        (left / LOCK).touch()
         (left / "a b.obj").write_bytes(BODY[:9])
         assert get("tri", out).path.read_bytes() == BODY and len(asked) == 2
     assert files_below(out) == [first.path]

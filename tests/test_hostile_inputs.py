@@ -222,3 +222,19 @@ def test_a_zip_opens_nothing_outside_of_it(tmp_path):
             archive.writestr("parts.obj/", "")
             archive.writestr(name, (tmp_path / "box.obj").read_bytes())
         assert len(load_mesh(tmp_path / "a.zip").faces) == 12
+
+
+def test_a_zip_with_changed_bytes_is_read_whole_or_refused(tmp_path):
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.obj")
+    packed = tmp_path / "ball.zip"
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(tmp_path / "ball.obj", "ball.obj")
+    data, whole = packed.read_bytes(), load_mesh(packed).vertices
+    refused = 0
+    for place in range(len(data)):
+        packed.write_bytes(data[:place] + bytes([data[place] ^ 1 << place % 8]) + data[place + 1 :])
+        try:
+            assert np.array_equal(load_mesh(packed).vertices, whole)
+        except InputError:
+            refused += 1
+    assert refused > len(data) / 2
