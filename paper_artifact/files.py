@@ -112,10 +112,12 @@ def _locked_folder(parent: Path) -> tuple[Path, int]:
 
 
 def plain(path: Path | str) -> Path:
-    """Return the path behind symbolic links. Raises OSError for a device or a pipe."""
+    """Return the path behind symbolic links. Raises OSError for a device, a pipe, or links in a circle."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.ENOTBLK, "it is a device or a pipe")
-    return Path(os.path.realpath(path))
+    if os.path.islink(place := os.path.realpath(path)):
+        raise OSError(errno.ELOOP, "it is a link in a circle")
+    return Path(place)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, check_writable,
 from paper_artifact.notebooks import figures_of
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
-from paper_artifact.scene.shapes import make_shape
+from paper_artifact.scene.shapes import find_mesh, make_shape
 from paper_artifact.topology.bundle import load_bundle
 from tests.tiny_run import find_records
 
@@ -259,6 +259,12 @@ def test_a_link_is_followed_and_a_pipe_refused(tmp_path):
         with pytest.raises(InputError, match="a device or a pipe"):
             act(tmp_path / "pipe")
     assert (tmp_path / "pipe").is_fifo()
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(InputError, match="a link in a circle"):
+        write_text(tmp_path / "circle", "x")
+    assert (tmp_path / "circle").is_symlink()
+    with pytest.raises(InputError, match="no mesh file at .*pipe; check"):
+        find_mesh(str(tmp_path / "pipe"))
 
 
 def test_a_write_protected_file_is_not_replaced(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -173,6 +174,7 @@ def _stage(
             result = running.result()
         except BaseException:
             token.cancel()
+            tqdm.write(f"{what} stops after its present step, which may take a minute", file=sys.stderr)
             raise
         bar.update(total - bar.n)
     return result

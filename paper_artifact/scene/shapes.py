@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from os.path import isfile
+from os.path import lexists
 from pathlib import Path
 
 import numpy as np
@@ -223,7 +223,7 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
         return replace(pot_solid().shell, name=shape)
     if is_named(shape):
         return replace(load_mesh(mesh_path(shape), welded=welded), name=shape)
-    if Path(shape).suffix or isfile(shape):
+    if Path(shape).suffix or lexists(shape):
         return load_mesh(Path(shape), welded=welded)
     raise InputError(
         f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}, {POT}, "
