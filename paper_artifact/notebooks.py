@@ -22,7 +22,15 @@ import nbformat
 from nbformat import NotebookNode
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY, RESULTS, listed, renewed_folder, write_text
+from paper_artifact.files import (
+    FIGURES_VARIABLE,
+    REPOSITORY,
+    RESULTS,
+    listed,
+    partial_folder,
+    renewed_folder,
+    write_text,
+)
 
 NOTEBOOKS = REPOSITORY / "notebooks"
 EXECUTED = RESULTS / "executed"
@@ -71,12 +79,12 @@ def own_kernel() -> Iterator[str]:
     from ipykernel.kernelspec import get_kernel_dict
 
     before = os.environ.get("JUPYTER_PATH")
-    with tempfile.TemporaryDirectory(prefix="paper_artifact-kernel-") as folder:
-        spec = Path(folder) / "kernels" / KERNEL / "kernel.json"
+    with partial_folder(Path(tempfile.gettempdir())) as folder:  # which a later one clears after a kill
+        spec = folder / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
         module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]
         spec.write_text(json.dumps(get_kernel_dict() | {"argv": [sys.executable, *module]}))
-        os.environ["JUPYTER_PATH"] = folder if not before else folder + os.pathsep + before
+        os.environ["JUPYTER_PATH"] = str(folder) if not before else f"{folder}{os.pathsep}{before}"
         try:
             yield KERNEL
         finally:

@@ -57,7 +57,7 @@ def test_evaluate_of_a_mesh_file(tmp_path, command):
         ("--target klein", 1, "unknown shape"),
         ("--target sphere --samples 2", 2, "at least 4"),
         ("", 2, "give --target SHAPE|MESH, or --scene DIR"),
-        ("--target sphere --holdout 3", 2, "--holdout belong to --scene DIR"),
+        ("--target sphere --holdout 3", 2, "--holdout without --scene DIR"),
     ],
 )
 def test_evaluate_names_bad_input(soup_file, words, code, reason, command):

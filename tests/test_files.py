@@ -19,6 +19,7 @@ from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import find_mesh, make_shape
 from paper_artifact.topology.bundle import load_bundle
+from paper_artifact.train.state import alone
 from tests.tiny_run import find_records
 
 pytestmark = pytest.mark.faults
@@ -322,3 +323,11 @@ if __name__ == "__main__":  # python -m tests.test_files BUILDS
         wrong = built_by_four(Path(place), int(sys.argv[1]) // 4)
         print(len(os.listdir(place)), "scenes,", "; ".join(wrong - {""}) or "no failure")
         sys.exit(wrong != {""})
+
+
+def test_a_file_that_has_the_name_of_a_runs_lock_stays(tmp_path):
+    for text in ("", "mine"):
+        (tmp_path / "run.lock").write_text(text)
+        with alone(tmp_path / "run.pt"):
+            pass
+        assert (tmp_path / "run.lock").exists() == (text != "")

@@ -7,7 +7,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -27,7 +30,7 @@ from paper_artifact.photos.pictures import (
     to_shown,
     unread,
 )
-from paper_artifact.photos.register import Registered
+from paper_artifact.photos.register import Registered, _stage
 from paper_artifact.photos.scene import _of_one_size, doubts, empty_colour, upright, useless
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import fibonacci_cameras
@@ -263,7 +266,7 @@ def test_folders_that_hold_too_little(tmp_path, capsys):
     (folder / "one.bmp").rename(folder / os.fsdecode(b"m\xe9g.bmp"))
     assert "még" in photographs_in(folder)
     folder.rename(tmp_path / "elsewhere")
-    assert "no folder at" in refused()
+    assert "no folder and no video file at" in refused()
 
 
 def test_doubts_are_told():
@@ -378,3 +381,19 @@ def test_a_scene_made_of_the_photographs_is_no_photograph(tmp_path):
     (tmp_path / "scene" / "scene.json").write_text("{}")
     assert sorted(photographs_in(tmp_path)) == ["0", "1", "2", "more_0", "more_1", "more_2"]
     assert len(photographs_in(tmp_path / "scene")) == 3
+
+
+def test_a_stage_that_is_stopped_ends_its_block_and_a_second_stop_ends_the_process(capsys, monkeypatch):
+    class Token(threading.Event):
+        cancel = threading.Event.set
+
+    token, stop = SimpleNamespace(CancellationToken=Token), Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr("paper_artifact.photos.register.need_pycolmap", lambda: token)
+    before, ended = signal.getsignal(signal.SIGINT), []
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            _stage(("matching", "block", 1), lambda token: ended.append(token.wait(60)), stop, False)
+        assert ended == [True] and signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert "matching stops after its present block; Ctrl-C again" in capsys.readouterr().err

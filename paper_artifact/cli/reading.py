@@ -40,7 +40,7 @@ class ReadingOptions(Options):
         --scene, or out of range."""
         said = {name: value for name in READING if (value := getattr(self, name)) is not None}
         if self.scene is None and said:
-            raise WrongUsage(f"--{' and --'.join(said)} belong to --scene DIR; give the scene's folder too")
+            raise WrongUsage(f"--{' and --'.join(said)} without --scene DIR; give the scene's folder too")
         with usage_checked():
             with_changes(GivenConfig(), said)
         return said

@@ -63,7 +63,7 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
-            f"no folder at {folder}; give the folder that holds the photographs, or a video file"
+            f"no folder and no video file at {folder}; give the folder that holds the photographs, or a video"
         )
     files = _files(folder)
     photographs: dict[str, Path] = {}

@@ -174,7 +174,9 @@ def _stage(
             result = running.result()
         except BaseException:
             token.cancel()
-            tqdm.write(f"{what} stops after its present step, which may take a minute", file=sys.stderr)
+            with suppress(ValueError):  # not the main thread
+                signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second Ctrl-C would trouble the thread's end
+            tqdm.write(f"{what} stops after its present block; Ctrl-C again ends it at once", file=sys.stderr)
             raise
         bar.update(total - bar.n)
     return result

@@ -136,7 +136,8 @@ def alone(checkpoint: Path, tell: Callable[[str], object] | None = None) -> Iter
     try:
         yield
     finally:
-        path.unlink(missing_ok=True)
+        if not os.fstat(lock).st_size:  # else somebody's file of that name
+            path.unlink(missing_ok=True)
         os.close(lock)
 
 
