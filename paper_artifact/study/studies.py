@@ -106,6 +106,13 @@ STUDIES: dict[str, tuple[Block, ...]] = {
             for ratio in (1.0, 2.0)
             for conditions, prior in ((("C0",), {}), (PRIORS, FIRM))
         ),
+        # The first was nearer to the paper: with five seeds, cube and cylinder predicted; and at other λ.
+        Block(PAIR, PRIORS, range(1, 5), allocation=FIRM | {"simplices": "death"}),
+        Block(("cube", "cylinder"), PRIORS, range(5), allocation=FIRM | {"simplices": "death"}),
+        *(
+            Block(PAIR, PRIORS, range(1), allocation=FIRM | {"simplices": "death", "protection": protection})
+            for protection in (0.5, 1.5)
+        ),
     ),
     "composition": (  # RH3: Table 1's C5; cube and spot are a check of ours
         Block(("sphere", "torus"), ("C5",), range(5)),
