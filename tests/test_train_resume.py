@@ -124,6 +124,7 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
     backend = backend_for("cpu", tiny_scene, tiny_scene.train)
     assert resumed_state(path, config, None, backend).step == 10
     assert resumed_state(tmp_path / "none.pt", config, None, backend) is None
+    assert b"steps" in data and b"opacity_lr" not in data  # defaults are not in it: a new field orphans none
 
     with pytest.raises(InputError, match="belongs to another configuration"):
         train(tiny_scene, tiny_config(steps=12, seed=5), checkpoint=path, device="cpu")

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from paper_artifact.arithmetic import power
-from paper_artifact.config import RunConfig, config_values
+from paper_artifact.config import RunConfig, identity
 from paper_artifact.errors import InputError
 from paper_artifact.files import write_bytes, write_failure
 from paper_artifact.soup.adam import SoupOptimiser
@@ -208,7 +208,8 @@ def _unsealed(data: bytes) -> bytes:
 
 
 def _text(config: RunConfig) -> str:
-    return repr(sorted(config_values(config).items()))
+    """Return what names the run, as its record's name does: a new field orphans no checkpoint."""
+    return repr(sorted(identity(config).items()))
 
 
 def _short(error: Exception) -> str:
