@@ -75,7 +75,7 @@ def partial_folder(parent: Path) -> Iterator[Path]:
     try:
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder)
         os.close(lock)
 
 
@@ -91,9 +91,16 @@ def clear_partials(parent: Path) -> None:
                 continue
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(left, ignore_errors=True)
+                _remove(left)
             finally:
                 os.close(lock)
+
+
+def _remove(folder: Path) -> None:
+    with suppress(OSError):  # the lock last: by it the next command knows what a kill leaves
+        for each in sorted(folder.iterdir(), key=lambda each: each.name == LOCK):
+            shutil.rmtree(each) if each.is_dir() else each.unlink()
+        folder.rmdir()
 
 
 def _locked_folder(parent: Path) -> tuple[Path, int]:
@@ -311,8 +318,7 @@ def write_npz(path: Path | str, arrays: Mapping[str, Any], compressed: bool = Tr
     """Write arrays by name as .npz to `path`, atomically. Raises InputError as `write_bytes` does."""
     import numpy as np  # only here: this module is imported by verbs that need no numbers
 
-    # In memory first: an archive that meets a full disk half-way complains once more when it is cleared away.
-    content = io.BytesIO()
+    content = io.BytesIO()  # in memory first: an archive that meets a full disk complains twice
     (np.savez_compressed if compressed else np.savez)(content, **arrays)
     write_bytes(path, content.getvalue())
 
@@ -356,10 +362,7 @@ def inside(folder: Path, name: str) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a name with a zero byte
         raise InputError(f"{folder} names a file {name!r}, which is no path; export it again") from error
     if leads_out:
-        raise InputError(
-            f"{folder} names the file {name}, which lies outside of it; copy the file into the folder, "
-            "without '..' and without a symbolic link"
-        )
+        raise InputError(f"{folder} names {name}, which lies outside of it; copy it there, not as a link")
     return path
 
 

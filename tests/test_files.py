@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -12,14 +13,23 @@ from pathlib import Path
 
 import pytest
 
+from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
-from paper_artifact.files import MANIFEST, PARTIAL, atomic_path, check_writable, renewed_folder, write_text
+from paper_artifact.files import (
+    MANIFEST,
+    PARTIAL,
+    atomic_path,
+    check_writable,
+    partial_folder,
+    renewed_folder,
+    write_text,
+)
 from paper_artifact.notebooks import figures_of
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import whole_folder
 from paper_artifact.scene.shapes import find_mesh, make_shape
 from paper_artifact.topology.bundle import load_bundle
-from paper_artifact.train.state import alone
+from paper_artifact.train.state import alone, resumed_state
 from tests.tiny_run import find_records
 
 pytestmark = pytest.mark.faults
@@ -331,3 +341,21 @@ def test_a_file_that_has_the_name_of_a_runs_lock_stays(tmp_path):
         with alone(tmp_path / "run.pt"):
             pass
         assert (tmp_path / "run.lock").exists() == (text != "")
+
+
+def test_a_kill_while_a_partial_folder_is_removed_leaves_its_lock_last(tmp_path, monkeypatch):
+    order = []
+    for name in ("rmtree", "unlink", "rmdir"):
+        owner = shutil if name == "rmtree" else Path
+        act = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda path, act=act: (order.append(Path(path).name), act(path))[1])
+    with partial_folder(tmp_path) as folder:
+        (folder / "new").mkdir()
+        (folder / "a").touch()
+    assert {*order[:2]} == {"new", "a"} and order[2:] == ["lock", folder.name] and not folder.exists()
+
+
+def test_a_pipe_in_a_checkpoints_place_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "run.pt")
+    with pytest.raises(InputError, match="it is a device or a pipe"):
+        resumed_state(tmp_path / "run.pt", study_config("sphere", "C0"), None, None)

@@ -22,6 +22,7 @@ from paper_artifact.topology.bundle import Bundle, build_from_mesh
 
 BUDGET_BY_CLASS = (700, 700, 1200)  # triangles N of the component, loop and void class (paper §4)
 FEWEST = 16  # points of a rung
+MOST_SEEDS = 1000  # of a staircase: hours at most
 KEPT_ABOVE = 0.2  # margins below this fraction of the floor are sampling noise and not kept
 
 
@@ -100,9 +101,9 @@ def audit_mesh(
     if not all(isinstance(each, Iterable) for each in (densities, working)):
         raise InputError(f"densities and working are lists of M, got {densities!r:.60} and {working!r:.60}")
     smallest = min((*densities, *working))
-    if smallest < FEWEST or seeds < 1 or first_seed < 0:
+    if smallest < FEWEST or not 1 <= seeds <= MOST_SEEDS or first_seed < 0:
         raise InputError(
-            f"an audit needs densities of at least {FEWEST} points, one seed or more and none negative, "
+            f"an audit needs densities of at least {FEWEST} points, 1 to {MOST_SEEDS} seeds, none negative, "
             f"got {smallest}, {seeds} and {first_seed}"
         )
     require_memory_for(max(*densities, *working))

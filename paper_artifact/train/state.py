@@ -25,7 +25,7 @@ import torch
 from paper_artifact.arithmetic import power
 from paper_artifact.config import RunConfig, identity
 from paper_artifact.errors import InputError
-from paper_artifact.files import write_bytes, write_failure
+from paper_artifact.files import plain, write_bytes, write_failure
 from paper_artifact.soup.adam import SoupOptimiser
 from paper_artifact.soup.state import Soup, soup_of
 from paper_artifact.train.backend import Backend
@@ -171,13 +171,15 @@ def resumed_state(
     if path is None:
         return None
     try:
-        content = io.BytesIO(_unsealed(path.read_bytes()))
+        content = io.BytesIO(_unsealed(plain(path).read_bytes()))
         saved = torch.load(content, weights_only=True, map_location="cpu")
         if saved["format"] != FORMAT or saved["config"] != _text(config):
             raise InputError(
                 f"checkpoint {path} belongs to another configuration; delete it to start the run anew"
             )
         history = {name: saved[name] for name in HISTORY}
+        if not 0 < history["step"] <= config.steps:
+            raise ValueError(f"it is of step {history['step']} of {config.steps}")
         soup = backend.to_device(soup_of(saved["soup"]).trainable())
         state = TrainState(soup=soup, optimiser=SoupOptimiser(soup), resumed_at=history["step"], **history)
         state.optimiser.load_mlp_state(saved["mlp_moments"])
