@@ -389,11 +389,9 @@ def test_a_stage_that_is_stopped_ends_its_block_and_a_second_stop_ends_the_proce
 
     token, stop = SimpleNamespace(CancellationToken=Token), Mock(side_effect=KeyboardInterrupt)
     monkeypatch.setattr("paper_artifact.photos.register.need_pycolmap", lambda: token)
-    before, ended = signal.getsignal(signal.SIGINT), []
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            _stage(("matching", "block", 1), lambda token: ended.append(token.wait(60)), stop, False)
-        assert ended == [True] and signal.getsignal(signal.SIGINT) == signal.SIG_DFL
-    finally:
-        signal.signal(signal.SIGINT, before)
+    before, seen = signal.getsignal(signal.SIGINT), []
+    note = lambda token: seen.append((token.wait(60), signal.getsignal(signal.SIGINT)))  # noqa: E731
+    with pytest.raises(KeyboardInterrupt):
+        _stage(("matching", "block", 1), note, stop, False)
+    assert seen == [(True, signal.SIG_DFL)] and signal.getsignal(signal.SIGINT) == before
     assert "matching stops after its present block; Ctrl-C again" in capsys.readouterr().err

@@ -163,20 +163,31 @@ def _stage(
     """Return what `call`, given a cancellation token, returns from compiled code in a thread of its own.
 
     This thread shows a bar (title: what, unit, total) that follows `count`, and cancels the call on Ctrl-C.
+    It waits for the call's end, which a second Ctrl-C would trouble: that one ends the process at once.
     """
     token = need_pycolmap().CancellationToken()
     what, unit, total = title
-    with ThreadPoolExecutor(1) as pool, tqdm(total=total, desc=what, unit=unit, disable=not progress) as bar:
-        running = pool.submit(call, token)
-        try:
-            while wait([running], 0.5).not_done:
-                bar.update(min(total, count()) - bar.n)
-            result = running.result()
-        except BaseException:
-            token.cancel()
-            with suppress(ValueError):  # not the main thread
-                signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second Ctrl-C would trouble the thread's end
-            tqdm.write(f"{what} stops after its present block; Ctrl-C again ends it at once", file=sys.stderr)
-            raise
-        bar.update(total - bar.n)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        with (
+            ThreadPoolExecutor(1) as pool,
+            tqdm(total=total, desc=what, unit=unit, disable=not progress) as bar,
+        ):
+            running = pool.submit(call, token)
+            try:
+                while wait([running], 0.5).not_done:
+                    bar.update(min(total, count()) - bar.n)
+                result = running.result()
+            except KeyboardInterrupt:  # only the main thread gets it
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
+                tqdm.write(
+                    f"{what} stops after its present block; Ctrl-C again ends it at once", file=sys.stderr
+                )
+                raise
+            finally:
+                token.cancel()
+            bar.update(total - bar.n)
+    finally:
+        if signal.getsignal(signal.SIGINT) != before:
+            signal.signal(signal.SIGINT, before)
     return result
