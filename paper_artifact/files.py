@@ -83,6 +83,8 @@ def clear_partials(parent: Path) -> None:
     """Remove the temporary folders in `parent` whose owners are gone: their locks can be taken. Where the
     file system has no locks, and in folders without one, nothing is removed."""
     for left in parent.glob(f"{PARTIAL}*"):
+        if left.is_symlink():  # ours never are: it is somebody's, and what it points to too
+            continue
         with suppress(OSError):  # live, removed by another process meanwhile, or of somebody else
             try:
                 lock = os.open(left / LOCK, os.O_RDWR)
@@ -99,7 +101,7 @@ def clear_partials(parent: Path) -> None:
 def _remove(folder: Path) -> None:
     with suppress(OSError):  # the lock last: by it the next command knows what a kill leaves
         for each in sorted(folder.iterdir(), key=lambda each: each.name == LOCK):
-            shutil.rmtree(each) if each.is_dir() else each.unlink()
+            shutil.rmtree(each) if each.is_dir() and not each.is_symlink() else each.unlink()
         folder.rmdir()
 
 
@@ -362,7 +364,10 @@ def inside(folder: Path, name: str) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a name with a zero byte
         raise InputError(f"{folder} names a file {name!r}, which is no path; export it again") from error
     if leads_out:
-        raise InputError(f"{folder} names {name}, which lies outside of it; copy it there, not as a link")
+        raise InputError(
+            f"{folder} names the file {name}, which lies outside of it; copy the file into the folder, "
+            "without '..' and without a symbolic link"
+        )
     return path
 
 
@@ -371,16 +376,6 @@ def decoded(data: bytes) -> str:
     line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names."""
     code, errors = ("utf-16", "replace") if data[:2] in WIDE else ("utf-8-sig", "surrogateescape")
     return data.decode(code, errors).replace("\r\n", "\n").replace("\r", "\n")
-
-
-def whole(word: str) -> int:
-    """Return the whole number that a word states, as 64, 64.0 or 6.4e1. Raises ValueError for any other."""
-    if "_" not in word:  # Python reads 1_0 as 10
-        with suppress(ValueError):
-            return int(word)
-        if (value := float(word)).is_integer():
-            return int(value)
-    raise ValueError(f"{word} is no whole number")
 
 
 def _array(data: bytes) -> Any:

@@ -103,6 +103,12 @@ def test_nothing_measurable_is_said():
         decide([rung(2048, 1, 0, 1)], CLOSED)
 
 
+@pytest.mark.parametrize("seeds", [0, 1001, 10**30])
+def test_seeds_without_end_are_refused(seeds):
+    with pytest.raises(InputError, match="1 to 1000 seeds"):
+        audit_mesh(find_mesh("torus"), densities=(300,), working=(600,), seeds=seeds)
+
+
 def test_the_command_builds_the_audits_bundle_again():
     audit = audit_mesh(find_mesh("sphere"), "sphere", **SMALL)
     assert audit.decision.dimension == 2 and audit.bundle.samples == audit.decision.samples == 256

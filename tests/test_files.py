@@ -355,6 +355,15 @@ def test_a_kill_while_a_partial_folder_is_removed_leaves_its_lock_last(tmp_path,
     assert {*order[:2]} == {"new", "a"} and order[2:] == ["lock", folder.name] and not folder.exists()
 
 
+def test_a_link_named_like_a_partial_folder_and_what_it_points_to_stay(tmp_path):
+    for name in ("lock", "mine"):
+        write_text(tmp_path / "owned" / name, "x")
+    (tmp_path / f"{PARTIAL}link").symlink_to("owned")
+    write_text(tmp_path / "new", "x")
+    assert sorted(each.name for each in (tmp_path / "owned").iterdir()) == ["lock", "mine"]
+    assert (tmp_path / f"{PARTIAL}link").is_symlink()
+
+
 def test_a_pipe_in_a_checkpoints_place_is_refused(tmp_path):
     os.mkfifo(tmp_path / "run.pt")
     with pytest.raises(InputError, match="it is a device or a pipe"):

@@ -73,7 +73,7 @@ def test_symbolic_links_out_of_the_scene_are_refused(link, scene, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     os.rename(folder / link, tmp_path / "elsewhere" / "file")
     os.symlink(tmp_path / "elsewhere" / "file", folder / link)
-    with pytest.raises(InputError, match="lies outside of it; copy it there"):
+    with pytest.raises(InputError, match="lies outside of it; copy the file into the folder"):
         load_scene(folder)
 
 

@@ -1,5 +1,6 @@
 """A run that is killed goes on from its checkpoint to the same record; damaged checkpoints are refused."""
 
+import io
 import shutil
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from paper_artifact.randomness import stream
 from paper_artifact.soup.state import load_soup
 from paper_artifact.train.backend import backend_for
 from paper_artifact.train.loop import train
-from paper_artifact.train.state import SEAL, resumed_state
+from paper_artifact.train.state import SEAL, _seal, resumed_state
 from tests.sweep_runs import same_run
 from tests.tiny_run import STEPS, find_records, tiny_arguments, tiny_config
 
@@ -133,6 +134,11 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
         path.write_bytes(bad)
         with pytest.raises(InputError, match="run.pt is damaged .*digest"):
             train(tiny_scene, config, checkpoint=path, device="cpu")
+    saved, forged = torch.load(io.BytesIO(content), weights_only=True), io.BytesIO()
+    torch.save(saved | {"step": 13}, forged)
+    path.write_bytes(_seal(forged.getvalue()) + forged.getvalue())
+    with pytest.raises(InputError, match="run.pt is damaged .*it is of step 13 of 12"):
+        resumed_state(path, config, None, backend)
     draws = stream(0, "flipped bits")
     for place in [0, len(SEAL), *draws.integers(0, len(data), 60).tolist()]:
         path.write_bytes(data[:place] + bytes([data[place] ^ 1 << draws.integers(8)]) + data[place + 1 :])

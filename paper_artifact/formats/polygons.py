@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from struct import Struct
 
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import WIDE, decoded, whole
+from paper_artifact.files import WIDE, decoded
 
 Triangles = tuple[np.ndarray, np.ndarray]
 
@@ -285,6 +286,16 @@ def _of_type(values: np.ndarray, kind: str) -> np.ndarray:
         if len(wrong):
             raise ValueError(f"{wrong[0]:g} is no whole number of the type {np.dtype(kind)}")
     return values
+
+
+def whole(word: str) -> int:
+    """Return the whole number that a word states, as 64, 64.0 or 6.4e1. Raises ValueError for any other."""
+    if "_" not in word:  # Python reads 1_0 as 10
+        with suppress(ValueError):
+            return int(word)
+        if (value := float(word)).is_integer():
+            return int(value)
+    raise ValueError(f"{word} is no whole number")
 
 
 def _reals(words: Sequence[str]) -> list[float]:

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import decoded, inside, whole, write_bytes
-from paper_artifact.formats.polygons import read_ply_elements
+from paper_artifact.files import decoded, inside, write_bytes
+from paper_artifact.formats.polygons import read_ply_elements, whole
 from paper_artifact.scene.cameras import Camera
 
 # COLMAP's camera models in the order of their numbers: how many parameters those have that are pinholes while
