@@ -66,7 +66,8 @@ def test_all_runs_of_a_shape_share_every_setting_but_the_conditions():
     for name in STUDIES:
         settings = {}
         for block in STUDIES[name]:
-            assert not block.changes or name in ("strength", "realism", "words_dirty", "allocation_forms")
+            varied = ("strength", "schedule", "realism", "words_dirty", "allocation_forms")
+            assert not block.changes or name in varied
             for config in replace(block, changes={}).configs():
                 bare = replace(config, condition="C0", seed=0, loss=None, allocation=None)
                 settings.setdefault(config.shape, set()).add(bare)
