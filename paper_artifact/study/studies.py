@@ -147,7 +147,7 @@ STUDIES: dict[str, tuple[Block, ...]] = {
     ),
     # Is there a setting under which C0, C1, C5 and flat ramps hold together? By successive halving. Rule, set
     # before the first run: of all settings, with one seed, the six whose four means have the least sum of
-    # |log(ours / paper)|; of those, with three seeds, beside C5 and the armadillo, the two with the most means
+    # |log(ours / paper)|; of those, with three seeds, beside C5 and the armadillo, the two with most means
     # within 2 sd of the paper's (the larger of its and ours; ties: the sum); of those the other two ramps.
     "schedule": tuple(
         Block(PAIR, ("C0", "C1"), range(1), changes={"final_lr": final_lr, "initial_ratio": ratio})
