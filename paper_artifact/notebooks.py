@@ -74,20 +74,23 @@ def own_kernel() -> Iterator[str]:
     """Yield the name of a kernel that is this interpreter, whatever kernels the user's machine has under the
     same name.
 
-    Jupyter looks into JUPYTER_PATH first, so a kernel description in a temporary folder there wins.
+    Jupyter looks into JUPYTER_PATH first, so a kernel description in a temporary folder there wins. Its
+    connection files lie in that folder too, so that a kill leaves none behind.
     """
     from ipykernel.kernelspec import get_kernel_dict
 
-    before = os.environ.get("JUPYTER_PATH")
+    before, place = os.environ.get("JUPYTER_PATH"), tempfile.tempdir
     with partial_folder(Path(tempfile.gettempdir())) as folder:  # which a later one clears after a kill
         spec = folder / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
         module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]
         spec.write_text(json.dumps(get_kernel_dict() | {"argv": [sys.executable, *module]}))
         os.environ["JUPYTER_PATH"] = str(folder) if not before else f"{folder}{os.pathsep}{before}"
+        tempfile.tempdir = str(folder)
         try:
             yield KERNEL
         finally:
+            tempfile.tempdir = place
             if before is None:
                 del os.environ["JUPYTER_PATH"]
             else:

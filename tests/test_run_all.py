@@ -189,3 +189,12 @@ def test_table_shows_minutes_and_cuts_long_errors():
     lines = text.splitlines()
     assert lines[1].split() == ["a", "1:01.2", "ok"]
     assert len(lines) == 3 and len(lines[2]) < 200 and lines[2].endswith("...")
+
+
+def test_the_connection_file_lies_where_a_later_command_clears_it(tmp_path):
+    path = write_notebook(
+        tmp_path / "a.ipynb", "from ipykernel import get_connection_file", "print(get_connection_file())"
+    )
+    assert executed(path).error == ""
+    connection = Path(printed(tmp_path / "out" / "a.ipynb").strip())
+    assert connection.parent.name.startswith(".paper_artifact-partial-") and not connection.parent.exists()
