@@ -339,3 +339,15 @@ def test_names_that_nearly_match_and_views_without_image(own, capsys):
         file.unlink()
     with pytest.raises(InputError, match=r"no image at .* \(10 of 11 are missing\)"):
         load_scene(own)
+
+
+def test_a_tiff_file_with_an_orientation_and_another_programs_description_are_refused(own):
+    file = min((own / "images").iterdir())
+    with Image.open(file) as picture:
+        picture.save(file.with_suffix(".tif"), tiffinfo={274: 3})
+    file.unlink()
+    with pytest.raises(InputError, match=r"\.tif has an orientation tag"):
+        load_scene(own)
+    (own / "scene.json").write_text('{"scale": 0.1, "center": [0, 0, 0], "near": 0.1, "far": 2}')
+    with pytest.raises(InputError, match=r"another program's .*; move it away"):
+        load_scene(own)

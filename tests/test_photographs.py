@@ -147,11 +147,13 @@ def test_photographs_are_turned_to_one_format_and_up_is_known(tmp_path):
     for tag, turn in turns.items():
         exif[ExifTags.Base.Orientation] = tag
         for kind, shown in (("level", picture), ("tall", np.pad(picture[:, :24], ((0, 4), (0, 0), (0, 0))))):
-            Image.fromarray(np.rot90(shown, turn)).save(tmp_path / "in" / f"{kind}{tag}.png", exif=exif)
+            for ending in ("png", "tif"):  # PIL turns the second when it is read
+                file = tmp_path / "in" / f"{kind}{tag}_{ending}.{ending}"
+                Image.fromarray(np.rot90(shown, turn)).save(file, exif=exif)
     Image.fromarray(picture).save(tmp_path / "in" / "plain.png")
     ready = prepared(photographs_in(tmp_path / "in"), tmp_path / "out", tmp_path / "masks", 100, False)
-    assert sum(ready.groups, []) and ready.sizes == {(40, 30): 5, (34, 24): 4}
-    assert {len(group) for group in ready.groups} == {5, 4}
+    assert sum(ready.groups, []) and ready.sizes == {(40, 30): 9, (34, 24): 8}
+    assert {len(group) for group in ready.groups} == {9, 8}
     for name, (x, y) in ready.up.items():
         with Image.open(tmp_path / "out" / name) as stored:
             assert stored.width > stored.height and stored.getexif().get(ExifTags.Base.Orientation) is None

@@ -97,9 +97,10 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
     assert main(["scene", "--shape", "torus", "--cloud", "hull", "--out", str(tmp_path / "t")]) == 2
 
 
-def frames(pose=None, file_path="train/r_0"):
+def frames(pose=None, *file_paths):
     matrix = np.eye(4) if pose is None else pose
-    return {"frames": [{"file_path": file_path, "transform_matrix": matrix.tolist()}] * 2}
+    names = file_paths or ("train/r_0", "train/r_1")
+    return {"frames": [{"file_path": name, "transform_matrix": matrix.tolist()} for name in names]}
 
 
 @pytest.mark.parametrize(
@@ -111,14 +112,16 @@ def frames(pose=None, file_path="train/r_0"):
         ({"w": "1e999", "h": "1e999"}, "w of ./train/r_0 is 1e999, which cannot be"),
         ({"w": -60, "h": -60}, "w of ./train/r_0 is -60, which cannot be"),
         ({"cy": True}, "cy of ./train/r_0 is True, which cannot be"),
-        ({"frames": []}, "0 frames"),
+        ({"frames": []}, "has 0 frames; at least 2 are needed, one of them is held out$"),
+        (frames(None, "train/r_0", "./train/r_1", "train/r_1.png"), "r_1.png in several frames; keep one"),
         ({"frames": 3}, "damaged or no transforms.json"),
-        (frames(file_path="gone"), "gone is not there"),
-        (frames(file_path="9" * 5000), "cannot be"),
+        (frames(None, "train/r_0", "gone"), "2 frames, 1 of them without an image .gone is not there"),
+        (frames(None, "train/r_0", "9" * 5000), "cannot be"),
         (frames(np.zeros((4, 4))), "is no pose"),
         (frames(np.diag([1, 1, -1, 1])), "is no pose"),  # but a mirror
         (frames(np.eye(4) + np.eye(4, k=-3)), "if it lists columns, transpose it"),
         (frames(np.eye(4) + np.eye(4, k=1)), "is no pose"),  # but sheared
+        (frames(np.eye(4) + np.diag([0.08, 0, 0], k=1)), "is no pose"),  # by five degrees
         ({"white_transparent": True}, "has white_transparent, which is not read"),
         ({"ply_file_path": "."}, "names the cloud ., which is not there"),
         ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
@@ -170,6 +173,16 @@ def test_a_frame_has_its_own_intrinsics(folder, cameras):
         assert np.allclose((camera.focal_x, camera.focal_y), focal)
 
 
+@pytest.mark.parametrize(
+    ("root", "own"), [({"fl_y": 70.0}, {"fl_x": 80.0}), ({}, {"camera_angle_y": 0.7, "fl_x": None})]
+)
+def test_one_axis_of_a_frame_and_the_other_of_all_frames(folder, root, own):
+    file = framed(folder, lambda index, frame: frame.update(own if index == 3 else {}))
+    file.write_text(json.dumps(json.loads(file.read_text()) | root))
+    with pytest.raises(InputError, match=r"r_3 has .* of its own, which leaves one axis"):
+        read_transforms(file)
+
+
 def test_nerfstudios_list_of_distortions_is_read(folder):
     view = read_transforms(changed(folder, distortion_params=[0.1, 0.02, 0.003, 0, 0.01, -0.005]))[0]
     assert view.distortion == (0.1, 0.02, 0.003, 0.01, -0.005)
@@ -192,9 +205,10 @@ def test_distortion_is_taken_out(k1, cameras, tmp_path):
         return np.rint(127 + 120 * np.stack(waves, axis=2)).astype(np.uint8)
 
     (tmp_path / "images").mkdir()
-    Image.fromarray(pattern(rays[..., 0], rays[..., 1])).save(tmp_path / "images" / "a.png")
+    for name in ("a", "b"):
+        Image.fromarray(pattern(rays[..., 0], rays[..., 1])).save(tmp_path / "images" / f"{name}.png")
     aside = np.linalg.inv([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 3], [0, 0, 0, 1]])
-    poses = [frames(pose, "images/a.png")["frames"][0] for pose in (np.eye(4), aside)]
+    poses = [frames(pose, f"images/{a}.png")["frames"][0] for pose, a in ((np.eye(4), "a"), (aside, "b"))]
     file = tmp_path / "transforms.json"
     content = {"fl_x": focal, "fl_y": focal, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
     file.write_text(json.dumps({**content, **lens, "camera_model": "OPENCV", "frames": poses}))

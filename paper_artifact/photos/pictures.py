@@ -262,7 +262,7 @@ def prepared(
 
 def _camera_tags(picture: Image.Image) -> tuple[Image.Exif, int]:
     """Return the EXIF tags that say which camera it was (a JPEG file holds 64 KiB of them), and the
-    orientation (1: as it stands)."""
+    orientation (1: as it stands; PIL turns a TIFF file itself)."""
     try:
         exif = picture.getexif()
         own = exif.get_ifd(ExifTags.IFD.Exif)
@@ -273,7 +273,7 @@ def _camera_tags(picture: Image.Image) -> tuple[Image.Exif, int]:
         if isinstance(exif.get(tag), str):
             kept[tag] = exif[tag][:100]
     kept.get_ifd(ExifTags.IFD.Exif).update({tag: own[tag] for tag in LENS_TAGS if tag in own})
-    return kept, exif.get(ExifTags.Base.Orientation, 1)
+    return kept, 1 if picture.format == "TIFF" else exif.get(ExifTags.Base.Orientation, 1)
 
 
 def size_doubts(sizes: Mapping[tuple[int, int], int], size: int) -> list[str]:

@@ -114,7 +114,7 @@ def read_description(root: Path) -> dict:
         raise InputError(f"cannot read {file}: {error.strerror}; check its permissions") from error
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
-            f"{file} is damaged ({error}); remove the scene's folder and build it again"
+            f"{file} is damaged or another program's ({error}); move it away, or build the scene again"
         ) from error
     return description
 

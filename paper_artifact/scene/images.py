@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, ImageChops, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageChops, UnidentifiedImageError
 from tqdm import tqdm
 
 from paper_artifact.arithmetic import exp, log
@@ -125,6 +125,11 @@ def read_file(file: Path) -> bytes:
 
 def _decoded(file: Path) -> Image.Image:
     with opened(file, io.BytesIO(read_file(file))) as picture:
+        if picture.format == "TIFF" and picture.getexif().get(ExifTags.Base.Orientation, 1) != 1:
+            raise InputError(
+                f"{file} has an orientation tag, by which some programs turn a TIFF file and others do not; "
+                "save the picture as its camera has it, without the tag"
+            )
         picture.load()
         return picture.copy()
 

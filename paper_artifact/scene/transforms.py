@@ -55,7 +55,7 @@ OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distor
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
 SHORTEST, LONGEST = 0.01, 1e4  # focal lengths of real cameras, in widths of the image
-RIGHT_ANGLED = 0.9  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
+RIGHT_ANGLED = 0.999  # the least volume that a pose's three axes of length 1 span; a rotation's span 1
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,21 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
             raise ValueError("it has no frames")
         frames = [(each, _named(file, str(each["file_path"]), ENDINGS)) for each in content["frames"]]
         missing = [str(own["file_path"]) for own, path in frames if path is None]
+        twice = [
+            str(path) for path, count in Counter(path for _, path in frames if path).items() if count > 1
+        ]
+        if twice:
+            raise InputError(f"{file} lists {twice[0]} in several frames; keep one of them")
         if len(frames) - len(missing) < 2:
             raise InputError(
-                f"{file} has {len(frames)} frames, {len(missing)} of them without an image"
-                + (f" ({missing[0]} is not there)" if missing else "")
-                + "; at least 2 are needed, one of them is held out: copy the images too"
+                f"{file} has {len(frames)} frames"
+                + (
+                    f", {len(missing)} of them without an image ({missing[0]} is not there)"
+                    if missing
+                    else ""
+                )
+                + "; at least 2 are needed, one of them is held out"
+                + (": copy the images too" if missing else "")
             )
         tell_some(file, missing, len(frames), "frames are left out, their images are not there")
         kept = [(own, path) for own, path in frames if path is not None]
@@ -246,6 +256,12 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
         )
     sizes = (width, height, across, down)
     its_own = {key: values[key] for key in INTRINSICS[:4] if own.get(key) is not None}
+    axes_told = [{key[-1] for key in INTRINSICS[:4] if key in told} for told in (its_own, values)]
+    if its_own and axes_told[0] != axes_told[1]:
+        raise InputError(
+            f"{file}: {name} has {', '.join(its_own)} of its own, which leaves one axis to the focal length "
+            "of all frames; give the frame fl_x and fl_y"
+        )
     focal = _focal(its_own, *sizes) or _focal(values, *sizes)
     if focal is None:
         raise InputError(
