@@ -113,7 +113,7 @@ def frames(pose=None, *file_paths):
         ({"w": -60, "h": -60}, "w of ./train/r_0 is -60, which cannot be"),
         ({"cy": True}, "cy of ./train/r_0 is True, which cannot be"),
         ({"frames": []}, "has 0 frames; at least 2 are needed, one of them is held out$"),
-        (frames(None, "train/r_0", "./train/r_1", "train/r_1.png"), "r_1.png in several frames; keep one"),
+        (frames(None, "train/r_0", "./train/r_1", "train/r_1.png"), "r_1.png in 2 frames; keep one"),
         ({"frames": 3}, "damaged or no transforms.json"),
         (frames(None, "train/r_0", "gone"), "2 frames, 1 of them without an image .gone is not there"),
         (frames(None, "train/r_0", "9" * 5000), "cannot be"),

@@ -99,8 +99,8 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
     """Return `views` frames of a transforms.json, evenly chosen, None: all. Frames without image are left
     out, which a line on stderr says.
 
-    Raises InputError for a missing or damaged file, lenses that are neither pinholes nor OpenCV's, or fewer
-    than two frames with an image.
+    Raises InputError for a missing or damaged file, lenses that are neither pinholes nor OpenCV's, an image
+    in two frames, or fewer than two frames with an image.
     """
     file = Path(file)
     try:
@@ -109,21 +109,16 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
             raise ValueError("it has no frames")
         frames = [(each, _named(file, str(each["file_path"]), ENDINGS)) for each in content["frames"]]
         missing = [str(own["file_path"]) for own, path in frames if path is None]
-        twice = [
-            str(path) for path, count in Counter(path for _, path in frames if path).items() if count > 1
-        ]
-        if twice:
-            raise InputError(f"{file} lists {twice[0]} in several frames; keep one of them")
+        for path, count in Counter(path for _, path in frames if path is not None).items():
+            if count > 1:
+                raise InputError(f"{file} lists {path} in {count} frames; keep one of them")
         if len(frames) - len(missing) < 2:
+            lost, way = "", ""
+            if missing:
+                lost = f", {len(missing)} of them without an image ({missing[0]} is not there)"
+                way = ": copy the images too"
             raise InputError(
-                f"{file} has {len(frames)} frames"
-                + (
-                    f", {len(missing)} of them without an image ({missing[0]} is not there)"
-                    if missing
-                    else ""
-                )
-                + "; at least 2 are needed, one of them is held out"
-                + (": copy the images too" if missing else "")
+                f"{file} has {len(frames)} frames{lost}; at least 2 are needed, one of them is held out{way}"
             )
         tell_some(file, missing, len(frames), "frames are left out, their images are not there")
         kept = [(own, path) for own, path in frames if path is not None]
