@@ -32,6 +32,7 @@ RESULTS_VARIABLE = "PAPER_ARTIFACT_RESULTS"
 SPACE = "free some space and run the same command again"
 LIMIT = "raise the file size limit (ulimit -f), or use another file system, and run the same command again"
 DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT, errno.ENOTBLK: "name a file"}
+DISK_FULL[errno.EBADF] = "open it for writing"  # as `1</dev/null` does not
 LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 LONGEST_NAMED = 150  # bytes of a name that other files are named after, of the 255 that file systems take
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})

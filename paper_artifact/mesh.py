@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from os.path import isfile
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +139,8 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
         raise InputError(f"a mesh is named by its file's path, not by {path!r:.60}")
     path = Path(path)
     if not isfile(path):  # False for a name that is too long
+        if exists(path) and not isdir(path):
+            raise InputError(f"{path} is a pipe or a device; save the mesh in a file")
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")
     kind = path.suffix.lower().lstrip(".")
     if kind == "zip":
