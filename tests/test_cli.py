@@ -233,6 +233,11 @@ def test_odd_terminals_and_surroundings(script, code, words):
     assert len(result.stderr.splitlines()) == (words != "")
 
 
+def test_files_are_written_when_the_reader_of_the_text_has_gone(tmp_path):
+    result = shell("PYTHONUNBUFFERED=1 $PY certify cube --json a.json 2>&1 | true", tmp_path)
+    assert result.returncode == 0 and json.loads((tmp_path / "a.json").read_text())["betti"] == [1, 0, 1]
+
+
 def test_a_working_directory_that_is_gone(tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from os.path import lexists
-from typing import Any
+from typing import Any, TextIO
 
 from paper_artifact.errors import CONTROL, quoted
 
@@ -23,6 +23,7 @@ def prepare_streams() -> None:
     """Make stdout and stderr take every text: a closed one takes it to nowhere, one of another encoding
     than UTF-8 gets plain letters for the signs that it lacks. Control characters, as the escape sequences
     that a file's name may hold, are shown as \\u001b, all but tab, line feed and a bar's carriage return.
+    When the reader of a pipe goes, the work goes on and prints to nowhere.
     A warning is one line; numpy's, of numbers that are refused or masked afterwards, are not shown."""
     warnings.formatwarning = _one_line
     codecs.register_error("plain", _plain)
@@ -32,7 +33,7 @@ def prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, open to the end
         elif hasattr(stream, "reconfigure") and "write" not in vars(stream):
             stream.reconfigure(errors="plain")
-            stream.write = _shown_plainly(stream.write)
+            stream.write = _shown_plainly(stream)
 
 
 def _one_line(
@@ -41,10 +42,16 @@ def _one_line(
     return "" if issubclass(category, RuntimeWarning) else f"warning: {message}\n"
 
 
-def _shown_plainly(write: Callable[[str], int]) -> Callable[[str], int]:
+def _shown_plainly(stream: TextIO) -> Callable[[str], int]:
+    write = stream.write
+
     def shown(text: str) -> int:
         bar = text.startswith("\r")
-        return write("\r" * bar + text[bar:].translate(CONTROL))
+        try:
+            return write("\r" * bar + text[bar:].translate(CONTROL))
+        except BrokenPipeError:  # the reader (head, less) has gone; files are still to be written
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            return len(text)
 
     return shown
 
