@@ -83,7 +83,7 @@ def own_kernel() -> Iterator[str]:
     with partial_folder(Path(tempfile.gettempdir())) as folder:  # which a later one clears after a kill
         spec = folder / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
-        module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]
+        module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=CRITICAL"]
         spec.write_text(json.dumps(get_kernel_dict() | {"argv": [sys.executable, *module]}))
         os.environ["JUPYTER_PATH"] = str(folder) if not before else f"{folder}{os.pathsep}{before}"
         tempfile.tempdir = str(folder)
