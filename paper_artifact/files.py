@@ -64,12 +64,14 @@ def write_failure(path: Path | str, error: OSError) -> InputError:
 
 
 @contextmanager
-def partial_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new temporary folder in `parent`, locked by this process, and remove it afterwards; what killed
-    processes left in `parent` is removed before. Raises OSError when `parent` cannot be made or written.
+def partial_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a new temporary folder in `parent` (None: the system's), locked by this process, and remove it
+    afterwards; what killed processes left in `parent` is removed before. Raises OSError when `parent` cannot
+    be made or written.
 
     One file or folder with its final name is to be made in it, beside the lock, and moved out.
     """
+    parent = parent or Path(tempfile.gettempdir())
     parent.mkdir(parents=True, exist_ok=True)
     clear_partials(parent)
     folder, lock = _locked_folder(parent)

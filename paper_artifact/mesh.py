@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ import numpy as np
 
 from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError
-from paper_artifact.files import check_archive
+from paper_artifact.files import check_archive, partial_folder
 from paper_artifact.formats.gltf import read_gltf
 from paper_artifact.formats.polygons import read_obj, read_off, read_ply, read_stl
 from paper_artifact.frame import SAME, Frame
@@ -190,7 +189,8 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
 def _zipped(path: Path, welded: bool) -> Mesh:
     """Return the one mesh of a zip archive."""
     try:
-        with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+        with zipfile.ZipFile(path) as archive, partial_folder() as temporary:
+            folder = temporary / "archive"
             check_archive(archive)
             names = [
                 name

@@ -80,7 +80,7 @@ def own_kernel() -> Iterator[str]:
     from ipykernel.kernelspec import get_kernel_dict
 
     before, place = os.environ.get("JUPYTER_PATH"), tempfile.tempdir
-    with partial_folder(Path(tempfile.gettempdir())) as folder:  # which a later one clears after a kill
+    with partial_folder() as folder:  # which a later one clears after a kill
         spec = folder / "kernels" / KERNEL / "kernel.json"
         spec.parent.mkdir(parents=True)
         module = ["-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=CRITICAL"]

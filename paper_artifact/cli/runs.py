@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from paper_artifact.catalogue import BASELINE, CONDITIONS, get_condition, shape_row, study_config
@@ -17,7 +16,7 @@ from paper_artifact.cli.reading import OwnSceneOptions
 from paper_artifact.cli.verify import recorded_runs, report_differences
 from paper_artifact.config import DEVICES, STEPS_OF_THE_STUDY, LossConfig, RunConfig, parse_changes
 from paper_artifact.errors import InputError
-from paper_artifact.files import OWN, RESULTS
+from paper_artifact.files import OWN, RESULTS, partial_folder
 from paper_artifact.mesh import FEATURES, betti_text
 from paper_artifact.scene.shapes import is_named
 from paper_artifact.study.studies import STUDIES, study_configs
@@ -166,8 +165,8 @@ def train(options: Train) -> int:
             raise WrongUsage("--again replaces the record that --verify compares with; give one of them")
         config = audited(options.config, [text.partition("=")[0] for text in options.loss])
         recorded = recorded_runs([config], options.results or results_of(config))
-        with TemporaryDirectory(prefix="verify-") as temporary:
-            _, path, _, _ = trained(replace(options, results=Path(temporary)))
+        with partial_folder() as temporary:
+            _, path, _, _ = trained(replace(options, results=temporary))
             return report_differences(recorded, [path])
     record, path, soup, ran = trained(options)
     if not ran:
@@ -333,11 +332,11 @@ def sweep(options: Sweep) -> int:
         todo = missing(configs, results)
         configs = [config for config in configs if config not in todo]
         recorded = recorded_runs(configs, results)
-        with TemporaryDirectory(prefix="verify-") as temporary:
-            failures = _swept(options, configs, Path(temporary))
+        with partial_folder() as temporary:
+            failures = _swept(options, configs, temporary)
             if failures:
                 return 1
-            different = report_differences(recorded, recorded_runs(configs, Path(temporary)))
+            different = report_differences(recorded, recorded_runs(configs, temporary))
         print(f"{len(configs)} runs compared, {len(todo)} have no record")
         return different
     if _swept(options, configs, results):

@@ -12,7 +12,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -26,7 +25,7 @@ from typing import Any
 
 from paper_artifact.config import RunConfig, config_from, config_values
 from paper_artifact.errors import InputError
-from paper_artifact.files import check_writable
+from paper_artifact.files import check_writable, partial_folder
 from paper_artifact.record.store import read_record, recorded_path, write_record
 from paper_artifact.scene.given import called, is_own, resolve
 from paper_artifact.scene.shapes import find_mesh
@@ -156,11 +155,11 @@ def remote_run(values: dict, device: str) -> tuple[float, dict]:
     """Run the configuration (a dict) on this worker of a cluster; return the seconds of wall time and the
     record. The run's process ends with the worker. Raises RuntimeError with the run's own last line."""
     begin = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        failure = failure_of(start_run(values, folder, device), lambda step: None)
+    with partial_folder() as folder:
+        failure = failure_of(start_run(values, str(folder), device), lambda step: None)
         if failure:
             raise RuntimeError(failure)
-        (path,) = (Path(folder) / "runs").glob("*.json")
+        (path,) = (folder / "runs").glob("*.json")
         return time.perf_counter() - begin, read_record(path)
 
 
