@@ -154,6 +154,7 @@ def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, c
         {"offset": [np.nan, 0.0, 0.0], "exponent": 0},
         {"offset": ["a", "b", "c"], "exponent": 0},
         {"offset": [0.0, 0.0, 0.0], "exponent": 5000},
+        {"offset": [0.0, 0.0, 0.0], "exponent": 1.7},
     ],
 )
 def test_a_soup_with_a_damaged_frame_is_refused(frame, soup_file, tmp_path, command):
@@ -176,3 +177,10 @@ def test_a_soup_is_exported_as_its_run_was_trained(trained_on_a_scene, tmp_path,
     assert [each.read_bytes() for each in files[0]] == [each.read_bytes() for each in files[1]]
     with Image.open(files[0][0]) as picture:
         assert picture.size == (24, 24)
+
+
+def test_a_soup_without_extent_has_no_views(soup_file, tmp_path, command):
+    data = dict(np.load(soup_file))
+    np.savez(tmp_path / "point.npz", **data | {"vertices": 0 * data["vertices"]})
+    said = command(f"export {tmp_path / 'point.npz'} --formats png --out {tmp_path / 'new'}", code=1).err
+    assert "are all at one point" in said

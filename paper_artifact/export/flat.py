@@ -121,7 +121,8 @@ def upright(up: np.ndarray) -> np.ndarray:
 def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     """Return `count` images (size,size,3) float32 in [0,1] of the soup over white, seen from all around.
 
-    The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees.
+    The cameras are a Fibonacci sphere's, as in the study's scenes: 3 bounding radii away, 50 degrees. Raises
+    InputError for a soup without extent.
     """
     require_memory(
         count * BYTES_PER_PIXEL * size**2, f"{count} views of {size}×{size} pixels", "ask for less"
@@ -130,6 +131,10 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     visible = soup.corner_opacity().mean(axis=1) >= THRESHOLD
     corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)
     cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
+    if not cloud.radius > 0:
+        raise InputError(
+            "the soup's triangles are all at one point, which no view shows; train it again"
+        )
     cameras = fibonacci_cameras(cloud, count, size)
     matrices = np.stack(
         [world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]

@@ -169,7 +169,9 @@ def load_frame(path: Path | str) -> Frame:
         return SAME
     try:
         x, y, z = (float(value) for value in data["offset"])
-        frame = Frame((x, y, z), int(data["exponent"]))
+        frame = Frame((x, y, z), exponent := int(data["exponent"]))
+        if exponent != data["exponent"]:
+            raise ValueError(f"{data['exponent']} is no whole number")
         with np.errstate(over="ignore"):
             if np.isfinite(frame.outward(data["vertices"])).all():
                 return frame
