@@ -94,7 +94,7 @@ def changed(path, change) -> None:
         (lambda record: record.update(dumps=[]), "digest mismatch"),
         (lambda record: record.update(dumps={"#table": {"a": [1], "b": [1, 2]}}), "damaged in its tables"),
         (lambda record: record.pop("dumps"), "lacks dumps"),
-        (lambda record: record.update(version=1), "has version 1, this code reads 2; run it again"),
+        (lambda record: record.update(version=1), "has version 1, this code reads 2; move it"),
         (lambda record: record.update(version=99), "version 99"),
         (lambda record: record.update(defaults=7), "defaults' version 7 is unknown to this code"),
         (lambda record: record["config"].update(colour=1), "does not know .unknown setting colour"),

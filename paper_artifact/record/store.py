@@ -167,7 +167,10 @@ def read_record(path: Path | str) -> dict:
             f"{path} is no run record of this artifact (schema {SCHEMA}); move it out of the folder"
         )
     if record.get("version") != VERSION:
-        raise fault(f"has version {record.get('version')}, this code reads {VERSION}", "run it again")
+        raise fault(
+            f"has version {record.get('version')!r}, this code reads {VERSION}",
+            "move it elsewhere, or take the version of the program that wrote it",
+        )
     try:
         record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
