@@ -132,9 +132,7 @@ def orbit_renders(soup: Soup, count: int, size: int) -> list[np.ndarray]:
     corners = (corners[visible] if visible.any() else corners).reshape(-1, 3)
     cloud = Mesh(corners, np.arange(len(corners)).reshape(-1, 3), "soup")
     if not cloud.radius > 0:
-        raise InputError(
-            "the soup's triangles are all at one point, which no view shows; train it again"
-        )
+        raise InputError("the soup's triangles are all at one point, which no view shows; train it again")
     cameras = fibonacci_cameras(cloud, count, size)
     matrices = np.stack(
         [world_to_clip(camera, NEAR * cloud.radius, FAR * cloud.radius) for camera in cameras]
