@@ -140,6 +140,8 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     if not isfile(path):  # False for a name that is too long
         if exists(path) and not isdir(path):
             raise InputError(f"{path} is a pipe or a device; save the mesh in a file")
+        if not os.access(path.parent, os.X_OK) and isdir(path.parent):
+            raise InputError(f"cannot enter {path.parent}; check its permissions")
         raise InputError(f"no mesh file at {path}; check the path, or fetch the meshes first")
     kind = path.suffix.lower().lstrip(".")
     if kind == "zip":

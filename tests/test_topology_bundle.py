@@ -93,7 +93,8 @@ def test_bundle_json_round_trip_and_damage(tmp_path):
         "dimensions": [],
         "diagonal": 0,
     }
-    for name, change in bad.items():
+    odd = {"dimensions": [0.5], "samples": 1024.5, "seed": "0", "floor": str(value["floor"])}
+    for name, change in [*bad.items(), *odd.items()]:
         with pytest.raises(InputError):
             bundle_from_json(value | {name: change})
     path.write_text("{")

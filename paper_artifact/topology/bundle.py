@@ -206,6 +206,7 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
         and 4 <= bundle.samples <= MOST_SAMPLES
         and bundle.dimensions
         and set(bundle.dimensions) <= {0, 1, 2}
+        and all(value[name] == each for name, each in bundle.to_json().items())  # none rounded, none a text
     )
     if not valid:
         raise InputError(
