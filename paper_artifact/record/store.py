@@ -208,7 +208,7 @@ def check_unedited(path: Path) -> None:
             if file.is_file():
                 read(file)
         except InputError as error:
-            raise InputError(f"{file} {REPLACED}") from error
+            raise InputError(f"{file} {REPLACED} ({error})") from error
     if soup.is_file() and not path.is_file() and not signed(soup):  # no record speaks of it
         raise InputError(f"{soup} {REPLACED}")
 
