@@ -147,8 +147,13 @@ def test_a_longer_or_other_table_is_kept(scripts, tmp_path, capsys):
     table, path = pd.DataFrame({"size": [1, 2], "ms": [0.5, 0.7]}), tmp_path / "a.csv"
     for each in (table, table[:1], table.assign(more=1)):
         scripts.common.write(each, path)
-    assert len(pd.read_csv(path)) == 2 and [*pd.read_csv(tmp_path / "a-new.csv")] == ["size", "ms", "more"]
-    assert capsys.readouterr().out.count("kept: ") == 2
+    assert len(pd.read_csv(path)) == 2 and len(pd.read_csv(tmp_path / "a-new.csv")) == 1
+    assert [*pd.read_csv(tmp_path / "a-new-new.csv")] == ["size", "ms", "more"]
+    assert capsys.readouterr().out.count("kept: ") == 3
+    (tmp_path / "a-new.csv").write_text("my notes\n")
+    scripts.common.write(pd.DataFrame({"other": [1]}), path)
+    assert (tmp_path / "a-new.csv").read_text() == "my notes\n"
+    assert [*pd.read_csv(tmp_path / "a-new-new-new.csv")] == ["other"]
     assert len(scripts.common.kept(path, ["size"])) == 2 and not len(
         scripts.common.kept(tmp_path / "b", ["x"])
     )

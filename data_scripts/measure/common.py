@@ -67,7 +67,10 @@ def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=MEASURED, help="folder of the CSV (%(default)s)")
     for name, keywords in extra.items():
         parser.add_argument(f"--{name}", **keywords)
-    return parser.parse_args()
+    given = parser.parse_args()
+    if given.out.exists() and not given.out.is_dir():  # before anything is measured
+        parser.error(f"--out {given.out} is no folder; name another")
+    return given
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -89,9 +92,11 @@ def kept(path: Path, key: list[str]) -> pd.DataFrame:
 
 def write(table: pd.DataFrame, path: Path) -> None:
     """Write a table with 6 significant digits, whole or not at all. What is at `path` and has other columns
-    or more rows stays; the table is written beside it then."""
-    before = _read(path) if path.is_file() else table[:0]
-    if [*before.columns] != [*table.columns] or len(before) > len(table):
+    or more rows stays; the table is written beside it then, as NAME-new.csv, NAME-new-new.csv, …"""
+    while path.is_file():
+        before = _read(path)
+        if [*before.columns] == [*table.columns] and len(before) <= len(table):
+            break
         print(f"kept: {path}, which has other columns or more rows")
         path = path.with_stem(f"{path.stem}-new")
     write_text(path, table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
