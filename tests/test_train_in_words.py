@@ -107,13 +107,18 @@ def test_a_mesh_outside_the_study_gets_the_density_of_the_audits_rule(tmp_path, 
 
 
 def test_a_run_tells_at_the_end_what_it_never_saw(capsys):
-    """Of the committed runs: the horse's seed 1, whose void never rose above the guard, and seed 0's, whose
-    did."""
-    first, second = closing_notes(read_record(recorded_path(study_config("horse", "T1", 1))))
-    assert first.startswith("you said 1 void; none so far: the next candidate has 0.") and "noise" in first
-    assert second == "the loss never acted: none of its plans had a bar to act on"
-    assert cli.main(["train", "horse", "--condition=T1", "--seed=1", "--quiet"]) == 0
-    assert f"note, at the end: {second}" in capsys.readouterr().out
+    """Of the committed runs: a sphere's loop, which never rose above the guard; a loss that could only
+    suppress where nothing was to; and the horse's, which has all it was told."""
+
+    def notes(**loss):
+        return closing_notes(read_record(recorded_path(study_config("sphere", "T1", 0, loss=loss))))
+
+    (unseen,) = notes(betti=(1, 1, 1))
+    assert unseen.startswith("you said 1 loop; none so far: the next candidate has 0.") and "noise" in unseen
+    (idle,) = notes(aim="none")
+    assert idle == "the loss never acted: none of its plans had a bar to act on"
+    assert cli.main(["train", "sphere", "--condition=T1", "--seed=0", "--loss=aim=none", "--quiet"]) == 0
+    assert f"note, at the end: {idle}" in capsys.readouterr().out
     for condition in ("T1", "C1"):
         assert closing_notes(read_record(recorded_path(study_config("horse", condition, 0)))) == []
 
