@@ -28,7 +28,7 @@ from typing import Any
 
 from paper_artifact import __version__
 from paper_artifact.cli.options import Options, WrongUsage, add_options, read_options
-from paper_artifact.cli.output import prepare_streams
+from paper_artifact.cli.output import prepare_streams, to_nowhere
 from paper_artifact.errors import InputError, require_memory
 from paper_artifact.files import DISK_BROKEN, DISK_FULL, check_writable, write_failure, write_json
 
@@ -204,7 +204,7 @@ def _silence_stdout() -> None:
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        to_nowhere(sys.stdout)
 
 
 def _asked(argv: Sequence[str]) -> str | None:

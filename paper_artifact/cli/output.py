@@ -36,6 +36,11 @@ def prepare_streams() -> None:
             stream.write = _shown_plainly(stream)
 
 
+def to_nowhere(stream: TextIO) -> None:
+    """Point a stream whose reader has gone at nothing, so that what is still printed is silent."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def _one_line(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
 ) -> str:
@@ -50,7 +55,7 @@ def _shown_plainly(stream: TextIO) -> Callable[[str], int]:
         try:
             return write("\r" * bar + text[bar:].translate(CONTROL))
         except BrokenPipeError:  # the reader (head, less) has gone; files are still to be written
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            to_nowhere(stream)
             return len(text)
 
     return shown

@@ -149,7 +149,8 @@ STUDIES: dict[str, tuple[Block, ...]] = {
     # Is there a setting under which C0, C1, C5 and flat ramps hold together? By successive halving. Rule, set
     # before the first run: of all settings, with one seed, the six whose four means have the least sum of
     # |log(ours / paper)|; of those, with three seeds, beside C5 and the armadillo, the two with most means
-    # within 2 sd of the paper's (the larger of its and ours; ties: the sum); of those the other two ramps.
+    # within 2 sd of the paper's (the larger of its and ours; ties: the sum); of those the other two ramps
+    # (not run: C5 of the sphere held at none of the six).
     "schedule": (
         *(
             Block(PAIR, ("C0", "C1"), range(1), changes={"final_lr": final_lr, "initial_ratio": ratio})

@@ -210,7 +210,7 @@ def bundle_from_json(value: Mapping, name: str = "bundle") -> Bundle:
     )
     if not valid:
         raise InputError(
-            f"{name} is damaged (bars below its own floor, or a number out of range); build it again"
+            f"{name} is damaged (bars below its own floor, or a number out of range or kind); build it again"
         )
     return bundle
 
