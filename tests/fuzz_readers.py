@@ -155,15 +155,18 @@ def _meshes(folder: Path) -> dict[str, Sample]:
 
 
 def _texts(folder: Path) -> dict[str, Sample]:
-    from paper_artifact.record.store import make_record, read_record, write_record
+    from paper_artifact.record.store import read_record, write_record
     from paper_artifact.topology.bundle import load_bundle
-    from tests.tiny_run import tiny_config
+    from tests.tiny_run import bare_record, tiny_config
     from tests.topology_cases import handmade_bundle
 
-    log = [{"event": "refresh", "step": step, "bars": [[0.1 * step, 0.5]]} for step in range(1, 30)]
+    log = [
+        {"event": "refresh", "step": step, "pairs": 3, "bars": [[0.1 * step, 0.5]]} for step in range(1, 30)
+    ]
     dumps = [{"step": step, "counts": [0, 0, 1], "bottleneck": [0.1, 0.2, 0.3]} for step in (20, 30, 60)]
     config = tiny_config(condition="C1")
-    record = write_record(make_record(config, dumps, {}, {"photometric": 1.0}, topology=log), folder / "runs")
+    truth = {"name": "ball", "dimension": 2}
+    record = write_record(bare_record(config, dumps, topology=log, mesh=truth), folder / "runs")
     handmade_bundle([[0.1, 0.4], [0.1, 0.3]], 1, 512).save(folder / "bundle.json")
     texts = (mutate_bytes, mutate_json, mutate_json)
     return {

@@ -210,6 +210,7 @@ def test_one_component_never_dies(points):
         ({"max_radius": -1.0}, "max_radius"),
         ({"max_radius": np.nan}, "max_radius"),
         ({"method": "exact"}, "unknown persistence method 'exact'"),
+        ({"method": CORNER}, "unknown persistence method array"),
         ({"squared": True}, "range of float64"),
     ],
 )

@@ -14,11 +14,11 @@ import torch
 from paper_artifact import cli
 from paper_artifact.errors import InputError
 from paper_artifact.mesh import mesh_hash
-from paper_artifact.record.store import make_record, write_record
+from paper_artifact.record.store import write_record
 from paper_artifact.scene.fetch import fetch
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import load_soup, save_soup
-from tests.tiny_run import tiny_arguments, tiny_config
+from tests.tiny_run import bare_record, tiny_arguments, tiny_config
 
 pytestmark = pytest.mark.faults
 TINY_RUN = " ".join(tiny_arguments())
@@ -154,10 +154,8 @@ def test_a_mirror_without_the_file(folder, monkeypatch, refused):
 def test_a_record_that_is_not_one(refused, command, folder):
     """How else a record is refused: test_record."""
     mesh = make_shape("sphere")
-    sections = {"images": {"psnr": 20.0, "ssim": 0.5}, "soup": {"triangles": 1}, "cpu_seconds": 1.0}
-    sections["mesh"] = {"name": mesh.name, "sha256": mesh_hash(mesh), "dimension": 2}
-    record = make_record(tiny_config(), [], {}, {"photometric": 1.0}, **sections)
-    path = write_record(record, folder / "r" / "runs")
+    truth = {"name": mesh.name, "sha256": mesh_hash(mesh), "dimension": 2}
+    path = write_record(bare_record(tiny_config(), mesh=truth), folder / "r" / "runs")
     command(f"{TINY_RUN} --results r")  # whole, it is taken for the run
     path.write_text(path.read_text()[:1000])
     refused(f"{TINY_RUN} --results r", path.name, "damaged or cut off", "delete it and run again")

@@ -177,6 +177,11 @@ def test_what_no_loss_can_be_had_of_is_refused(points, settings, words):
         BettiLoss(**{"betti": (1, 1, 0)} | settings)(torch.tensor(points))
 
 
+def test_no_plan_is_made_of_points_without_coordinates():
+    with pytest.raises(InputError, match=r"at least 4 points of shape \(n, 3\), got \(9, 0\)"):
+        BettiLoss((1, 1, 0)).refresh(FLAT[:9, :0])
+
+
 def test_a_loss_needs_a_tensor():
     with pytest.raises(InputError, match="needs a torch tensor, got ndarray"):
         BettiLoss((1, 1, 0))(BALL)

@@ -12,11 +12,12 @@ from PIL import Image
 
 from paper_artifact.cli.output import next_command
 from paper_artifact.config import GivenConfig, RunConfig
-from paper_artifact.record.store import make_record, write_record
+from paper_artifact.record.store import write_record
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.folder import scene_digest
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.state import Soup, initial_mlp, save_soup
+from tests.tiny_run import bare_record
 
 ASKED = "--downscale 2 --background '#102030' --holdout 3"  # what `trained_on_a_scene` was
 
@@ -99,7 +100,7 @@ def trained_on_a_scene(soup_file, tmp_path):
     scene = tmp_path / "ball"
     build_scene(make_shape("sphere"), SceneConfig(views=10, size=48, supersample=1, points=200), scene)
     given = GivenConfig(scene_digest(scene), downscale=2.0, background="#102030", holdout="3")
-    record = make_record(RunConfig("ball", given=given), [], {}, {"photometric": 1.0})
+    record = bare_record(RunConfig("ball", given=given))
     path = write_record(record, tmp_path / "runs")
     (tmp_path / "soups").mkdir()
     return scene, soup_file.rename(tmp_path / "soups" / f"{path.stem}.npz"), path

@@ -20,7 +20,7 @@ from paper_artifact import files
 from paper_artifact.errors import InputError
 from paper_artifact.export.flat import write_png
 from paper_artifact.pipeline import run
-from paper_artifact.record.store import make_record, write_record
+from paper_artifact.record.store import write_record
 from paper_artifact.scene.build import SceneConfig, build_scene
 from paper_artifact.scene.shapes import make_shape
 from paper_artifact.soup.adam import SoupOptimiser
@@ -28,7 +28,7 @@ from paper_artifact.soup.initialise import initial_soup
 from paper_artifact.soup.state import load_soup, save_soup
 from paper_artifact.train.state import TrainState, write_checkpoint
 from tests.sweep_runs import same_run
-from tests.tiny_run import find_records, tiny_arguments, tiny_config
+from tests.tiny_run import bare_record, find_records, tiny_arguments, tiny_config
 
 pytestmark = pytest.mark.faults
 
@@ -52,7 +52,7 @@ def checkpoint(folder):
 
 
 def record(folder):
-    write_record(make_record(tiny_config(), [], {}, {"photometric": 1.0}), folder)
+    write_record(bare_record(tiny_config()), folder)
 
 
 def soup(folder):

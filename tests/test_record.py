@@ -31,20 +31,29 @@ CONFIG = study_config("torus", "C1", 3)
 def example(config=CONFIG, **more) -> dict:
     found = {"bottleneck": [0.001, 0.02, 0.003], "counts": [0, 2, 1]}
     dumps = [{"step": step} | found for step in (2300, 2400, 2500)]
-    losses = {"step": np.arange(2500), "total": np.linspace(1, 0.1, 2500, dtype=np.float32)}
-    tails = {"bottleneck": np.array(found["bottleneck"])}
+    losses = {"step": np.arange(2500), "loss": np.linspace(1, 0.1, 2500, dtype=np.float32)}
+    tails = {"bottleneck": np.array(found["bottleneck"]), "counts": [0, 2, 1]}
+    tails |= {"chamfer": 0.01, "hausdorff95": 0.02}
+    more = {"images": {}, "soup": {"triangles": 1}, "cpu_seconds": 1.0, "mesh": {"dimension": 1}} | more
     return make_record(config, dumps, tails, {"train": 12.34567}, losses=losses, **more)
 
 
 def test_round_trip(tmp_path):
-    record = example(topology={"lambda": np.float32(0.5), "third": 1 / 3, "live": np.array([0.1, np.nan])})
+    event = {
+        "event": "lambda",
+        "step": 1,
+        "lambda_peak": np.float32(0.5),
+        "photo_norm": 1 / 3,
+        "topo_norm": 1,
+    }
+    record = example(topology=[event | {"live": np.array([0.1, np.nan])}])
     path = write_record(record, tmp_path)
     assert path.name == f"torus-C1-s3-{config_hash(CONFIG)}.json"
     again = read_record(path)
     assert again == record
     assert again["config"]["loss"]["ramp"] == [0.2, 0.5]
     assert config_of(again) == CONFIG
-    assert again["topology"] == {"lambda": 0.5, "third": 0.3333333, "live": [0.1, None]}
+    assert again["topology"] == [event | {"photo_norm": 0.3333333, "live": [0.1, None]}]
     assert again["losses"]["step"][-1] == 2499 and len(again["losses"]["step"]) == 250
     assert again["packages"]["numpy"] == np.__version__ and again["host"]["cores"] >= 1
     assert path.stat().st_size < 20_000

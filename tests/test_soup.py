@@ -1,5 +1,6 @@
 """The soup: initialisation on a point cloud, saving and loading."""
 
+import errno
 import json
 
 import numpy as np
@@ -164,6 +165,18 @@ def test_a_soup_that_is_foreign_or_cut_off_is_refused(stored, changes, words):
         data = path.read_bytes()
         path.write_bytes(data[: int(changes * len(data)) if isinstance(changes, float) else changes])
     with pytest.raises(InputError, match=words):
+        load_soup(path)
+
+
+def test_a_soup_that_may_not_be_read(stored, monkeypatch):
+    """The tests run as root, who may read all: the error is the system's."""
+    _, path = stored
+
+    def refuse(path):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("paper_artifact.soup.state.load_npz", refuse)
+    with pytest.raises(InputError, match=r"cannot read .*soup.npz: Permission denied; check its permissions"):
         load_soup(path)
 
 

@@ -102,8 +102,8 @@ def alpha_persistence(
     limit = real(max_radius)
     if not limit >= 0:
         raise InputError(f"max_radius is {max_radius!r:.60}; give a number of at least 0")
-    if method not in ("fast", "gudhi"):
-        raise InputError(f"unknown persistence method {method!r}; choose 'fast' or 'gudhi'")
+    if not isinstance(method, str) or method not in ("fast", "gudhi"):
+        raise InputError(f"unknown persistence method {method!r:.30}; choose 'fast' or 'gudhi'")
     order = np.arange(len(points)) if as_given else canonical_order(points)
     by: Callable = fast_persistence if method == "fast" else gudhi_persistence
     found = by(points[order], top=top, squared=squared, names=order)

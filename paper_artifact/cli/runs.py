@@ -201,7 +201,7 @@ def closing_notes(record: dict) -> list[str]:
 
     loss, said = config_of(record).loss, record.get("statement")
     given = None if said is None else Statement(tuple(said["betti"]), said["diagonal"])
-    return [] if loss is None or given is None else ended(given, record["topology"], loss)
+    return [] if loss is None or given is None else ended(given, record.get("topology") or (), loss)
 
 
 def summary(record: dict) -> str:
@@ -217,7 +217,7 @@ def summary(record: dict) -> str:
             betti_text((components + 1, loops, voids)),
             f"Chamfer {100 * tails['chamfer']:.3f} %",
         ]
-    if "psnr" in images:
+    if images.get("psnr") is not None:
         parts.append(f"held-out PSNR {images['psnr']:.2f} dB, SSIM {images['ssim']:.4f}")
     parts += [f"{record['soup']['triangles']} triangles", f"{record['cpu_seconds']:.0f} s of CPU"]
     return "; ".join(parts)

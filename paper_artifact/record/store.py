@@ -30,6 +30,7 @@ from paper_artifact.config import DEFAULTS_VERSION, RunConfig, config_from, conf
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, cut_name, load_json, write_text
 from paper_artifact.record.environment import host, packages
+from paper_artifact.record.form import misfit
 
 SCHEMA = "paper_artifact.run"
 VERSION = 2
@@ -194,6 +195,8 @@ def read_record(path: Path | str) -> dict:
         digest = None
     if record["digest"] != digest or digest is None:
         raise fault("was changed after it was written (digest mismatch)")
+    if (place := misfit(record)) is not None:
+        raise fault(f"has no {place} as this program writes it", "run it again")
     return record
 
 

@@ -140,6 +140,8 @@ def load_soup(path: Path | str) -> Soup:
         names = ("vertices", "features", "opacity", *(f"mlp_{index}" for index in range(len(MLP_SHAPES))))
         with np.errstate(over="ignore", invalid="ignore"):
             tensors = [torch.from_numpy(data[name].astype(np.float32, casting="same_kind")) for name in names]
+    except PermissionError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
     shapes = [tuple(tensor.shape) for tensor in tensors]

@@ -251,7 +251,7 @@ class BettiLoss(PlannedLoss):
     def frame(self, points: np.ndarray) -> Statement:
         """Return the statement, in the unit of the first points (M,3)."""
         if self.statement is None:
-            extent = np.ptp(points, axis=0) if points.ndim == 2 and len(points) else np.zeros(3)
+            extent = np.ptp(points, axis=0) if points.ndim == 2 and points.size else np.zeros(3)
             diagonal = diagonal_of(extent)
             if not np.isfinite(diagonal) or diagonal <= 0:  # the cloud's own check says what is wrong
                 return Statement(self.betti, 1.0)
