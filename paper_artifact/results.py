@@ -270,10 +270,7 @@ def _numbers(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _bars(bars: Any) -> np.ndarray:
-    try:
-        return np.asarray(bars, dtype=np.float64).reshape(-1, 2)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"a record has bars that are no pairs of numbers ({error}); run it again") from error
+    return np.asarray(bars, dtype=np.float64).reshape(-1, 2)
 
 
 def _expected(runs: pd.DataFrame) -> pd.Series:
