@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from paper_artifact.alpha.persistence import STAGES, gudhi_persistence
+from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.sampling import face_areas
 from paper_artifact.soup.initialise import initial_soup
@@ -186,3 +187,11 @@ def test_gpu_memory_is_read_while_the_run_goes_on(scripts, monkeypatch):
     monkeypatch.setattr(scripts.gpu, "INTERVAL", 0.001)
     row = scripts.gpu.peak_during(lambda: 7.0 if asked.wait(60) else 0.0, read)
     assert row == {"allocated": 7.0, "before": 100, "peak": 400}
+
+
+def test_an_interrupted_script_says_so(scripts, capsys):
+    for error, words in ((KeyboardInterrupt(), "interrupted"), (InputError("no soup at a"), "no soup at a")):
+        sys.excepthook(type(error), error, None)
+        assert words in capsys.readouterr().err.splitlines()[0]
+    sys.excepthook(ValueError, ValueError("a fault"), None)
+    assert "ValueError: a fault" in capsys.readouterr().err

@@ -9,19 +9,35 @@ all alike.
 import argparse
 import gc
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Self
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start their threads
 
 import pandas as pd
 
+from paper_artifact.cli import sentence
 from paper_artifact.files import write_text
 from paper_artifact.results import MEASURED
+
+
+def _say(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print what ended a script: one sentence as the command line does, a fault of the script with its
+    trace."""
+    text = sentence(error, Path(sys.argv[0]).name) or (str(error) if isinstance(error, OSError) else None)
+    if text is None:
+        sys.__excepthook__(kind, error, trace)
+    else:
+        print(f"{Path(sys.argv[0]).name}: {text}", file=sys.stderr)
+
+
+sys.excepthook = _say
 
 
 class Clock:

@@ -1,14 +1,13 @@
 """Stated Betti numbers on shapes that chose nothing: which design is frozen first, then tried once.
 
-    python data_scripts/measure/held_out.py pilots       # what the design T3 was chosen on: pilots.csv
-    python data_scripts/measure/held_out.py held_out     # ten procedural shapes, frozen before any ran
+    python data_scripts/measure/held_out.py --table pilots      # what the design T3 was chosen on: pilots.csv
+    python data_scripts/measure/held_out.py --table held_out    # ten procedural shapes, frozen before any ran
 
 One row per shape, arm and seed: bottleneck to the truth per dimension (radius / D, tails), counts, Chamfer,
 PSNR of the views held out, CPU seconds. M = 8192 and N = 1500 for every shape of our own. Runs that are
 recorded in --runs are read, not trained; about 100 s of CPU each. Notebook 16 reads the tables.
 """
 
-import argparse
 from collections.abc import Iterator
 from functools import cache
 from itertools import product
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import trimesh
-from common import write
+from common import options, write
 from damaged import Field, cylinder, ellipsoid, meshed, ring, union, without
 
 from paper_artifact.catalogue import shape_row, study_config
@@ -27,7 +26,6 @@ from paper_artifact.evaluate.scores import make_target
 from paper_artifact.files import atomic_path
 from paper_artifact.mesh import load_mesh
 from paper_artifact.pipeline import run
-from paper_artifact.results import MEASURED
 from paper_artifact.study.studies import STRONG
 
 OWN: dict[str, Any] = {"budget": 1500}
@@ -145,13 +143,15 @@ def row_of(shape: str, betti: Betti | None, arm: str, seed: int, folder: Path) -
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    given = options(
+        __doc__,
+        table={"choices": ("pilots", "held_out"), "required": True},
+        runs={
+            "type": Path,
+            "default": Path("results/own/held_out"),
+            "help": "folder of the runs (%(default)s)",
+        },
     )
-    parser.add_argument("table", choices=("pilots", "held_out"))
-    parser.add_argument("--runs", type=Path, default=Path("results/own/held_out"))
-    parser.add_argument("--out", type=Path, default=MEASURED)
-    given = parser.parse_args()
     given.runs.mkdir(parents=True, exist_ok=True)
     rows = []
     for case in cases(given.table):

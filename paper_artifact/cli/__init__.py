@@ -110,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except (Exception, KeyboardInterrupt) as error:
         cause = KeyboardInterrupt() if interrupted else error  # libraries raise another error from it
-        text = _sentence(cause, asked)
+        text = sentence(cause, asked)
         if text is None:
             raise
         with suppress(BrokenPipeError):
@@ -170,8 +170,9 @@ def _run(argv: list[str], asked: str | None) -> int:
     return int(code or 0)
 
 
-def _sentence(error: BaseException, asked: str | None) -> str | None:
-    """Return what is said of an error, None for a fault of this program, which keeps its trace."""
+def sentence(error: BaseException, asked: str | None) -> str | None:
+    """Return what is said of an error of the verb `asked`, None for a fault of this program, which keeps its
+    trace."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, KeyboardInterrupt):
