@@ -13,7 +13,7 @@ from paper_artifact.book.main_result import main_frame, main_runs
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.scores import TAIL_DUMPS, tails
-from paper_artifact.record.store import make_record, read_record, write_record
+from paper_artifact.record.store import config_of, make_record, read_record, write_record
 from paper_artifact.study.studies import STUDIES
 from paper_artifact.verdict import verdicts
 
@@ -94,10 +94,16 @@ def test_step_0_is_there_where_a_run_starts_as_the_study_does(tables):
     assert "B1" not in set(first["condition"]), "its levers act on the first triangles"
 
 
-def test_bars_that_are_no_pairs_are_a_sentence():
+def test_bars_that_are_no_pairs_are_a_sentence(tmp_path):
+    write_baseline(tmp_path, "sphere", 0)
+    (path,) = tmp_path.glob("*.json")
+    record = read_record(path)
     for bars in ([[1.0, 2.0], [3.0]], [[1.0, 2.0, 3.0]]):
-        with pytest.raises(InputError, match="bars that are no pairs"):
-            results._bars(bars)
+        dumps = [record["dumps"][0] | {"bars": [bars, [], []]}, *record["dumps"][1:]]
+        kept = {name: record[name] for name in ("mesh", "images", "soup", "cpu_seconds", "losses")}
+        write_record(make_record(config_of(record), dumps, record["tails"], {}, **kept), tmp_path)
+        with pytest.raises(InputError, match=r"dumps\[0\] bars\[0\].* run it again"):
+            results.load(folder=tmp_path)
 
 
 def test_a_pickle_beside_records_of_others_is_not_opened(tmp_path, monkeypatch):
