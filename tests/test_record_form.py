@@ -13,6 +13,7 @@ from paper_artifact.cli.runs import closing_notes, summary
 from paper_artifact.errors import InputError
 from paper_artifact.evaluate.scores import tails
 from paper_artifact.pipeline import audit_remarks
+from paper_artifact.record.form import misfit
 from paper_artifact.record.store import _hash as digest_of
 from paper_artifact.record.store import first_difference, read_record, recorded_path, write_record
 from paper_artifact.results import _dump_row, _expected, _refresh_rows, _run_row
@@ -108,3 +109,6 @@ def test_a_record_of_another_form_is_one_sentence(name, tmp_path):
                 assert "run it again" in str(error) or "delete it" in str(error) or "diagonal" in str(error)
                 refused += 1
     assert refused > 100
+    for key in ("shape", "condition", "seed", "budget", "initial_ratio"):
+        config = {name: value for name, value in record["config"].items() if name != key}
+        assert misfit(record | {"config": config}) == f"config {key}"

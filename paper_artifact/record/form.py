@@ -46,7 +46,7 @@ EVENTS = (
     {"event": "density", "samples": int},
 )
 RECORD = {
-    "config": dict,
+    "config": {"shape": str, "condition": str, "seed": int, "budget": int, "initial_ratio": REAL},
     "config_hash": str,
     "defaults": int,
     "digest": str,
