@@ -188,3 +188,47 @@ def test_a_model_is_parsed_once_and_every_reader_has_a_copy(tmp_path, monkeypatc
     monkeypatch.setattr("paper_artifact.scene.colmap._points", None)  # parsing again would fail
     second = read_model(tmp_path)
     assert (second.positions == places).all() and sorted(second.images) == [3, 7]
+
+
+@pytest.mark.parametrize("kind", ["binary", "text"])
+def test_a_rig_of_two_cameras_as_pycolmap_writes_it(tmp_path, kind):
+    """Beside images lie rigs and frames then; the poses of images are the composed ones."""
+    colmap = pytest.importorskip("pycolmap", reason="no wheel here")
+    draws, model = np.random.default_rng(0), colmap.Reconstruction()
+
+    def pose() -> object:
+        quaternion = draws.normal(size=4)
+        return colmap.Rigid3d(
+            colmap.Rotation3d(quaternion / np.linalg.norm(quaternion)), draws.normal(size=3)
+        )
+
+    rig, sensors = colmap.Rig(rig_id=1), []
+    for number in (1, 2):
+        sizes = {"width": 40, "height": 30, "params": [50, 51, 20, 15]}
+        camera = colmap.Camera(model="PINHOLE", camera_id=number, **sizes)
+        model.add_camera(camera)
+        sensors.append(camera.sensor_id)
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], pose())
+    model.add_rig(rig)
+    for number in (1, 2, 3):
+        frame, images = colmap.Frame(frame_id=number, rig_id=1), []
+        frame.rig_from_world = pose()
+        for camera in (1, 2):
+            name, identity = f"eye {camera}/{number}.png", 2 * number + camera
+            images.append(colmap.Image(name=name, camera_id=camera, image_id=identity))
+            images[-1].frame_id = number
+            frame.add_data_id(images[-1].data_id)
+        model.add_frame(frame)
+        for image in images:
+            model.add_image(image)
+        model.register_frame(number)
+    (model.write_binary if kind == "binary" else model.write_text)(str(tmp_path))
+    assert {path.stem for path in tmp_path.iterdir()} >= {"rigs", "frames", "images"}
+    read = {each.name: each for each in read_model(tmp_path).images.values()}
+    assert len(read) == 6
+    for image in model.images.values():
+        own, theirs = read[image.name], image.cam_from_world()
+        x, y, z, w = theirs.rotation.quat
+        assert own.quaternion == pytest.approx((w, x, y, z), abs=1e-15)
+        assert own.translation == pytest.approx(tuple(theirs.translation), abs=1e-15)
