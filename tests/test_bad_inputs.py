@@ -73,6 +73,8 @@ C1 = "train sphere --condition C1 --loss"
         ("certify link.ply --json ./notebooks/../ball.ply", "mesh and --json are both"),
         ("ingest ball.ply --out ball.ply", "raw and --out are both"),
         ("ingest ball.ply --out x.ply --json x.ply", "are both x.ply"),
+        ("ingest ball.ply --out=--", "--out=-- gives no value"),
+        ("train ball.ply --loss=--", "--loss=-- gives no value"),
         ("solidify ball.ply --out ball.ply", "soup and --out are both"),
         ("solidify soup.npz --out ball.ply --target ball.ply", "--target and --out are both"),
         ("evaluate ball.ply --target sphere --json ball.ply", "surface and --json are both"),

@@ -149,6 +149,9 @@ def _run(argv: list[str], asked: str | None) -> int:
     if asked is not None:  # OpenBLAS asks again without end where there is less
         advice = "raise the limit (ulimit -v), or use a larger machine"
         require_memory(LEAST_MEMORY, f"the verb '{asked}'", advice)
+    for word in argv:  # argparse makes an empty list of it
+        if word.startswith("-") and word.partition("=")[2] == "--":
+            raise WrongUsage(f"{word} gives no value; write one behind the =")
     parser, runner = _parser(asked)
     with suppress(ImportError):
         import argcomplete
