@@ -6,6 +6,7 @@ import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from paper_artifact.files import OWN, RESULTS
 from paper_artifact.pipeline import OwnScene, results_of, run
 from paper_artifact.record.store import read_record, recorded_path
 from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.colmap import read_model, write_model
 from paper_artifact.scene.folder import scene_digest, scene_name, scene_root
 from paper_artifact.scene.given import resolve
 from paper_artifact.scene.load import held_out, load_scene
@@ -351,3 +353,33 @@ def test_a_tiff_file_with_an_orientation_and_another_programs_description_are_re
     (own / "scene.json").write_text('{"scale": 0.1, "center": [0, 0, 0], "near": 0.1, "far": 2}')
     with pytest.raises(InputError, match=r"another program's .*; move it away"):
         load_scene(own)
+
+
+def test_no_other_model_and_no_other_photograph_is_read(own, capsys):
+    """Than what was asked for, and than those of the first folder that holds photographs."""
+    shutil.copytree(own / "sparse" / "0", own / "sparse" / "1")
+    assert scene_root(own / "sparse" / "0") == own
+    with pytest.raises(
+        InputError, match=r"sparse/1 is not the model that is read, .*sparse/0; move the others"
+    ):
+        scene_root(own / "sparse" / "1")
+    first, second = sorted((own / "images").iterdir())[:2]
+    (own / "input").mkdir()
+    first.rename(own / "input" / first.name)
+    assert first.name not in load_scene(own).names and "1 of 11 views" in capsys.readouterr().err
+    (own / "input" / first.name).rename(first)
+    model = read_model(own / "sparse" / "0")
+    model.images[1] = replace(model.images[1], name=Path(model.images[2].name).with_suffix(".jpg").name)
+    write_model(model, own / "sparse" / "0")
+    assert len(load_scene(own).names) == 10, "view 2's .png is not view 1's"
+
+
+def test_accents_and_commas_in_names(own):
+    accented = "Bär, müde.png"
+    model = read_model(own / "sparse" / "0")
+    file = own / "images" / model.images[1].name
+    file.rename(file.with_name(normalize("NFD", accented)))
+    model.images[1] = replace(model.images[1], name=accented)
+    write_model(model, own / "sparse" / "0")
+    scene = load_scene(own, holdout=accented)
+    assert len(scene.names) == 11 and [scene.names[view] for view in scene.holdout] == [accented]

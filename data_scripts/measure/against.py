@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from common import options
+from common import count, options
 
 CHILD = """
 import json, resource, sys, tempfile
@@ -47,7 +47,7 @@ def seconds(tree: Path, condition: str, steps: int, threads: int) -> dict[str, f
 def main() -> None:
     """Run as the docstring says."""
     numbers = {"steps": 300, "turns": 3, "threads": 1}
-    extra = {name: {"type": int, "default": value} for name, value in numbers.items()}
+    extra = {name: {"type": count, "default": value} for name, value in numbers.items()}
     given = options(__doc__, against={"type": Path, "required": True, "help": "another checkout"}, **extra)
     trees = {"here": Path(__file__).resolve().parents[2], "there": given.against.resolve()}
     print(f"load before: {os.getloadavg()[0]:.1f}")

@@ -76,6 +76,13 @@ def in_own_process(work: Callable, *arguments: Any) -> Any:
         return pool.submit(work, *arguments).result()
 
 
+def count(text: str) -> int:
+    """Return the whole number, at least 1, that an option gives; ValueError for another."""
+    if int(text) < 1:
+        raise ValueError(f"{text} is less than 1")
+    return int(text)
+
+
 def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     """Return the command line of a script with the docstring `text`: --out, the folder of the CSV, and the
     `extra` options, {name: keywords of `add_argument`}."""

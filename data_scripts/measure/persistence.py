@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import torch
-from common import in_turn, options, write
+from common import count, in_turn, options, write
 from cost import CLOUDS, points_of
 from peers import PEERS, bar_difference, why_missing
 
@@ -37,7 +37,9 @@ def libraries(points: np.ndarray) -> dict[str, Callable]:
 
 if __name__ == "__main__":
     given = options(
-        __doc__, sizes={"type": int, "nargs": "+", "default": [2048, 8192]}, turns={"type": int, "default": 5}
+        __doc__,
+        sizes={"type": count, "nargs": "+", "default": [2048, 8192]},
+        turns={"type": count, "default": 5},
     )
     rows = []
     for name in CLOUDS:

@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 
 import pandas as pd
-from common import Clock, kept, options, write
+from common import Clock, count, kept, options, write
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import RunConfig
@@ -85,12 +85,14 @@ def main() -> None:
     given = options(
         __doc__,
         folder={"type": Path, "default": RESULTS / "scenes" / "rates", "help": "of the scenes"},
-        steps={"type": int, "default": 2500},
+        steps={"type": count, "default": 2500},
         downscale={"type": float, "default": 1.0, "help": "of the pictures"},
-        scenes={"nargs": "*", "default": [*STUDY, *SCENES], "help": "some of these (%(default)s)"},
+        scenes={"nargs": "*", "default": [*STUDY, *SCENES], "choices": [*STUDY, *SCENES]},
         factors={"nargs": "*", "type": float, "default": FACTORS},
         seeds={"nargs": "*", "type": int, "default": (0, 1, 2)},
     )
+    if not 1 <= given.downscale < float("inf"):
+        raise SystemExit(f"--downscale is {given.downscale}; give a number of at least 1")
     path = given.out / "rates.csv"
     rows = kept(path, ["scene", "factor", "seed", "steps"]).to_dict("records")
     for name in given.scenes:

@@ -72,7 +72,9 @@ def rows_of(record: Path, config: RunConfig, views: tuple[int, ...]) -> list[dic
 
 
 if __name__ == "__main__":
-    given = options(__doc__, table={"choices": (*ARMS,)}, runs={"type": Path, "default": RESULTS})
+    given = options(
+        __doc__, table={"choices": (*ARMS,), "required": True}, runs={"type": Path, "default": RESULTS}
+    )
     choosing = given.table == "choose"
     found = []
     for record in sorted((given.runs / "runs").glob("*.json")):
@@ -83,3 +85,7 @@ if __name__ == "__main__":
         if config.condition in ARMS[given.table] and (chosen or not choosing):
             found += rows_of(record, config, (0, 1, 2, 3, 5) if choosing else (0, SEEN_IN))
             write(pd.DataFrame(found), given.out / f"seen_{given.table}.csv")
+    if not found:
+        raise SystemExit(
+            f"{given.runs} has no records with soups of this table; name another folder (--runs)"
+        )

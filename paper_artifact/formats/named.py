@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
+from unicodedata import normalize
 from urllib.parse import unquote
 
 from paper_artifact.files import inside
@@ -16,9 +17,9 @@ def find_file(folder: Path, name: str, endings: tuple[str, ...] = ("",)) -> Path
     """Return the file that another file in `folder` names, None where there is none.
 
     The name is taken as written, then with % escapes resolved and a backslash as /, each with every ending of
-    `endings` added. Where that is no file, a name that differs only in case or in its image ending is taken,
-    if there is just one. An absolute name, or one with '..', is looked for by its last parts. Raises
-    InputError as `inside` does.
+    `endings` added. Where that is no file, a name that differs only in case, in its accents' form
+    or in its image ending is taken, if there is just one. An absolute name, or one with '..', is looked for
+    by its last parts. Raises InputError as `inside` does.
     """
     plain = unquote(name).replace("\\", "/")
     spellings = [name, plain]
@@ -43,11 +44,16 @@ def _leads_out(name: str) -> bool:
     return name.startswith(("/", "\\")) or name[1:2] == ":" or ".." in name.replace("\\", "/").split("/")
 
 
+def _alike(name: str) -> str:
+    """Return a name without case, with composed accents: some disks keep them apart."""
+    return normalize("NFC", name).casefold()
+
+
 def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Path]:
     """Return the files below `folder` that `parts` name but for case and image ending."""
     places = [folder]
     for number, part in enumerate(parts):
-        last, wanted = number == len(parts) - 1, part.casefold()
+        last, wanted = number == len(parts) - 1, _alike(part)
         names = {wanted, *(wanted + ending.casefold() for ending in endings)} if last else {wanted}
         if last and wanted.endswith(IMAGE_ENDINGS):
             names |= {wanted.rpartition(".")[0] + ending for ending in IMAGE_ENDINGS}
@@ -55,7 +61,7 @@ def _nearly(folder: Path, parts: list[str], endings: tuple[str, ...]) -> list[Pa
             entries = [entry for place in places for entry in sorted(place.iterdir())]
         except OSError:
             return []
-        named = [entry for entry in entries if entry.name.casefold() in names]
+        named = [entry for entry in entries if _alike(entry.name) in names]
         exact = [entry for entry in named if entry.name == part]
         places = [entry for entry in exact or named if (entry.is_file() if last else entry.is_dir())]
     return places

@@ -41,7 +41,7 @@ def scene_root(path: Path | str) -> Path:
 
     The folder itself; the one above, for its sparse/, sparse/0 or images; and dense/ in it, COLMAP's name for
     the undistorted photographs, whose own camera models could not be read. Raises InputError when there is no
-    such folder.
+    such folder, and for sparse/1 where sparse/0 is what is read.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"a scene is named by its folder's path, not by {path!r:.60}")
@@ -54,7 +54,12 @@ def scene_root(path: Path | str) -> Path:
         above.append(path.parent.parent)
     for folder in above:
         for each in (folder / UNDISTORTED, folder):
-            if any((each / name).is_dir() for name in IMAGE_FOLDERS) and _has_model(model_folder(each)):
+            model = model_folder(each)
+            if any((each / name).is_dir() for name in IMAGE_FOLDERS) and _has_model(model):
+                if path.parent.name == "sparse" and _has_model(path) and model.resolve() != path:
+                    raise InputError(
+                        f"{path} is not the model that is read, which is {model}; move the others away"
+                    )
                 return each
     return path
 
@@ -77,11 +82,13 @@ def _has_model(folder: Path) -> bool:
 
 
 def image_file(root: Path, name: str) -> Path | None:
-    """Return the photograph that a scene's model calls `name`, see `find_file`; None where there is none."""
-    for folder in IMAGE_FOLDERS:
-        if (root / folder).is_dir() and (found := find_file(inside(root, folder), name)) is not None:
-            return inside(root, str(found.relative_to(root)))
-    return None
+    """Return the photograph that a scene's model calls `name`, see `find_file`; None where there is none. All
+    are in the first of IMAGE_FOLDERS that holds anything: others may hold distorted or smaller ones."""
+    held = (each for each in IMAGE_FOLDERS if (root / each).is_dir() and any((root / each).iterdir()))
+    if (folder := next(held, None)) is None:
+        return None
+    found = find_file(inside(root, folder), name)
+    return None if found is None else inside(root, str(found.relative_to(root)))
 
 
 def scene_name(root: Path) -> str:

@@ -165,6 +165,10 @@ def _views(path: Path, model: Model, complete: bool) -> dict[int, Path]:
     """
     poses = sorted(model.images.items(), key=lambda each: each[1].name)
     files = {image: image_file(path, pose.name) for image, pose in poses}
+    exact = {files[image] for image, pose in poses if str(files[image]).endswith(f"/{pose.name}")}
+    for image, pose in poses:  # one of another ending belongs to the image that is called so
+        if files[image] in exact and not str(files[image]).endswith(f"/{pose.name}"):
+            files[image] = None
     missing = [pose.name for image, pose in poses if files[image] is None]
     if missing and (complete or len(missing) > len(poses) - 2):
         raise InputError(
@@ -214,7 +218,7 @@ def held_out(rule: str, names: Sequence[str], centres: np.ndarray) -> np.ndarray
     if rule.isdecimal():
         chosen = np.arange(0, len(names), max(1, int(rule)) if len(rule) < 19 else len(names))
     else:
-        asked = [name.strip() for name in rule.split(",") if name.strip()]
+        asked = [rule] if rule in names else [name.strip() for name in rule.split(",") if name.strip()]
         unknown = [name for name in asked if name not in names]
         if unknown or not asked:
             raise InputError(
