@@ -358,7 +358,8 @@ def test_a_tiff_file_with_an_orientation_and_another_programs_description_are_re
 def test_no_other_model_and_no_other_photograph_is_read(own, capsys):
     """Than what was asked for, and than those of the first folder that holds photographs."""
     shutil.copytree(own / "sparse" / "0", own / "sparse" / "1")
-    assert scene_root(own / "sparse" / "0") == own
+    assert scene_root(own / "sparse" / "0") == own and len(load_scene(own).names) == 11
+    assert "1 of 2 models are not read, 0 is: 1" in capsys.readouterr().err
     with pytest.raises(
         InputError, match=r"sparse/1 is not the model that is read, .*sparse/0; move the others"
     ):

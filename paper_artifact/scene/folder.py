@@ -77,6 +77,12 @@ def model_folder(root: Path) -> Path:
     return first if first.is_dir() else inside(root, "sparse")
 
 
+def other_models(folder: Path) -> list[str]:
+    """Return the names of the other numbered models beside a numbered one."""
+    numbered = sorted(folder.parent.glob("[0-9]*")) if folder.name[:1].isdecimal() else []
+    return [each.name for each in numbered if each != folder and _has_model(each)]
+
+
 def _has_model(folder: Path) -> bool:
     return any((folder / f"cameras{ending}").is_file() for ending in (".bin", ".txt"))
 

@@ -15,7 +15,14 @@ from paper_artifact.errors import InputError, real, require_memory
 from paper_artifact.frame import SAME, Frame, frame_for
 from paper_artifact.scene.cameras import FAR, NEAR, framed, picture_radii, world_to_clip
 from paper_artifact.scene.colmap import Model, read_model
-from paper_artifact.scene.folder import check_files, image_file, model_folder, read_description, scene_root
+from paper_artifact.scene.folder import (
+    check_files,
+    image_file,
+    model_folder,
+    other_models,
+    read_description,
+    scene_root,
+)
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.images import (
     Pixels,
@@ -89,7 +96,9 @@ def load_scene(
     path = scene_root(path)
     description = read_description(path)
     check_files(path, description)
-    model = read_model(model_folder(path))
+    folder = model_folder(path)
+    model, others = read_model(folder), other_models(folder)
+    tell_some(path, others, len(others) + 1, f"models are not read, {folder.name} is")
     found = _views(path, model, complete="key" in description)
     names, files = tuple(model.images[image].name for image in found), [*found.values()]
     if len(names) < 2:
