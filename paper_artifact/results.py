@@ -382,9 +382,12 @@ def published(*tables: str, quantity: str = "") -> pd.DataFrame:
 def measured(name: str) -> pd.DataFrame:
     """Return results/measured/<name>.csv, the output of data_scripts/measure/<name>.py.
 
-    Raises InputError when the file does not exist.
+    Raises InputError when the file does not exist or is no table.
     """
     path = MEASURED / f"{name}.csv"
     if not path.is_file():
         raise InputError(f"{path} does not exist; python data_scripts/measure/{name}.py makes it")
-    return pd.read_csv(path)
+    try:
+        return pd.read_csv(path)
+    except ValueError as error:  # pandas' own are
+        raise InputError(f"{path} is no table ({error}); delete it and measure again") from error

@@ -361,7 +361,7 @@ def test_no_other_model_and_no_other_photograph_is_read(own, capsys):
     assert scene_root(own / "sparse" / "0") == own and len(load_scene(own).names) == 11
     assert "1 of 2 models are not read, 0 is: 1" in capsys.readouterr().err
     with pytest.raises(
-        InputError, match=r"sparse/1 is not the model that is read, .*sparse/0; move the others"
+        InputError, match=r"sparse/1 is not the folder that is read, .*sparse/0; move the others"
     ):
         scene_root(own / "sparse" / "1")
     first, second = sorted((own / "images").iterdir())[:2]
@@ -373,6 +373,14 @@ def test_no_other_model_and_no_other_photograph_is_read(own, capsys):
     model.images[1] = replace(model.images[1], name=Path(model.images[2].name).with_suffix(".jpg").name)
     write_model(model, own / "sparse" / "0")
     assert len(load_scene(own).names) == 10, "view 2's .png is not view 1's"
+    for image in (1, 2):
+        model.images[image] = replace(model.images[image], name=f"/rig/{image}/{second.name}")
+    write_model(model, own / "sparse" / "0")
+    with pytest.raises(InputError, match="would be the photograph of two images, /rig/1/.* and /rig/2/"):
+        load_scene(own)
+    (own / "images_2").mkdir()
+    with pytest.raises(InputError, match=r"images_2 is not the folder that is read"):
+        scene_root(own / "images_2")
 
 
 def test_accents_and_commas_in_names(own):

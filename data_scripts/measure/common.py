@@ -8,10 +8,11 @@ all alike.
 
 import argparse
 import gc
+import importlib
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -94,6 +95,21 @@ def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     if given.out.exists() and not given.out.is_dir():  # before anything is measured
         parser.error(f"--out {given.out} is no folder; name another")
     return given
+
+
+def needed(runs: pd.Series, shapes: Iterable[str], sweep: str) -> pd.Series:
+    """Return the runs, by shape; ends the program where one of `shapes` has none."""
+    if missing := [shape for shape in shapes if shape not in runs.index]:
+        raise SystemExit(f"no run of {missing[0]} is recorded; python -m paper_artifact sweep {sweep}")
+    return runs
+
+
+def import_pymeshlab() -> Any:
+    """Return the module; ends the program where it is not installed."""
+    try:
+        return importlib.import_module("pymeshlab")
+    except ImportError as error:
+        raise SystemExit(f"pymeshlab does not import ({error}); see docs/study.md") from error
 
 
 def _read(path: Path) -> pd.DataFrame:

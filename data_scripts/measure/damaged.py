@@ -11,7 +11,6 @@ SEED are for the table alone; `solidify` was developed on --seed 1, 2 … The sc
 are stored.
 """
 
-import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import ModuleType
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, kept, options, write
+from common import Clock, import_pymeshlab, kept, options, write
 from skimage.measure import marching_cubes
 from solid_peers import Surface, poisson, voxels
 
@@ -246,7 +245,7 @@ def main() -> None:
     """Measure what is missing in the CSV."""
     seed = {"type": int, "default": SEED, "help": "sizes and damages (%(default)s)"}
     given = options(__doc__, seed=seed, ways={"nargs": "*", "default": WAYS, "help": "of %(default)s"})
-    pymeshlab: Any = given.ways != ["solidify"] and importlib.import_module("pymeshlab")
+    pymeshlab: Any = given.ways != ["solidify"] and import_pymeshlab()
     calls: dict[str, Callable[[Mesh, Mesh], Mesh | Surface | str]] = {
         "solidify": by_solidify,
         "voxels": lambda mesh, whole: voxels(mesh),

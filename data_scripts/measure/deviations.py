@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
-from common import options, write
+from common import needed, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import shapes_of
@@ -58,6 +58,7 @@ if __name__ == "__main__":
     rows = [row for name in ("T1", "T3", "T4") for row in gate_rows(name)]
     tables = results.load()
     runs = tables.of("table2").query("condition == 'C1' and seed == 0").set_index("shape")["run"]
-    for shape in shapes_of("loop group", "void group"):
-        rows += opacity_rows(shape, load_soup(tables.soup_path(runs[shape])))
+    shapes = shapes_of("loop group", "void group")
+    for shape, run in needed(runs, shapes, "table2")[[*shapes]].items():
+        rows += opacity_rows(str(shape), load_soup(tables.soup_path(run)))
     write(pd.DataFrame(rows, columns=["subject", "case", "quantity", "value"]), folder / "deviations.csv")

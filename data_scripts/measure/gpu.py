@@ -7,13 +7,13 @@ import threading
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pandas as pd
 from common import in_own_process
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY
+from paper_artifact.files import partial_folder
 from paper_artifact.pipeline import make_run_bundle, make_run_term, prepare_scene
 from paper_artifact.results import published
 from paper_artifact.scene.shapes import find_mesh
@@ -69,7 +69,7 @@ def main() -> None:
         raise SystemExit(f"nvidia-smi gives no memory ({error}); this needs an NVIDIA GPU") from error
     printed = published("cost").query("quantity == 'gpu_memory_mib'").set_index("condition")["value"]
     rows = {}
-    with TemporaryDirectory() as folder:
+    with partial_folder() as folder:
         for condition in ("C0", "C1"):
             rows[condition] = peak_during(
                 lambda condition=condition: in_own_process(allocated_mib, condition, folder, given.steps)

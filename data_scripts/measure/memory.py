@@ -7,7 +7,6 @@ minutes and 5 GB of memory.
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -17,6 +16,7 @@ from PIL import Image
 
 from paper_artifact.alpha.persistence import alpha_persistence
 from paper_artifact.catalogue import study_config
+from paper_artifact.files import partial_folder
 from paper_artifact.randomness import stream
 from paper_artifact.raster.threads import one_torch_thread
 from paper_artifact.record.environment import peak_memory_mib
@@ -82,7 +82,7 @@ def cloud_row(size: int = LARGE, cloud: str = "soup") -> dict:
 
 if __name__ == "__main__":
     ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
-    with TemporaryDirectory() as folder:
+    with partial_folder() as folder:
         rows = [
             in_own_process(photographs_row, f"{folder}/{views}", views, size) for views, size in PHOTOGRAPHS
         ]

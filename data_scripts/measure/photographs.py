@@ -16,7 +16,6 @@ from dataclasses import replace
 from io import BytesIO
 from itertools import product
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from paper_artifact.evaluate.image import view_scores
 from paper_artifact.evaluate.scores import Target, evaluate_samples, make_target, soup_samples
 from paper_artifact.export.flat import render_flat
 from paper_artifact.export.solid import SoupSolid, distances_to, solidify_soup
-from paper_artifact.files import REPOSITORY, RESULTS, write_bytes
+from paper_artifact.files import REPOSITORY, RESULTS, partial_folder, write_bytes
 from paper_artifact.mesh import Mesh, load_mesh
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.pipeline import run
@@ -64,8 +63,8 @@ def measured(thing: str, seeds: list[int]) -> Iterator[dict[str, Any]]:
     """Yield the rows of a thing; write the picture of the mug."""
     shown = thing != "mug"
     truth = load_mesh(SCRIPTS / thing / f"{thing}.ply")  # centimetres
-    with TemporaryDirectory() as folder:
-        place = Path(folder) / thing
+    with partial_folder() as folder:
+        place = folder / thing
         photographs_scene(SCRIPTS / thing / "photographs", place, PhotosConfig(size=SIZE))
         scene, subject = load_scene(place, holdout=HOLDOUT), subject_of_scene(place)
         target, to_truth = make_target(truth), similarity(*centres(place, thing))

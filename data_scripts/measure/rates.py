@@ -87,9 +87,9 @@ def main() -> None:
         folder={"type": Path, "default": RESULTS / "scenes" / "rates", "help": "of the scenes"},
         steps={"type": count, "default": 2500},
         downscale={"type": float, "default": 1.0, "help": "of the pictures"},
-        scenes={"nargs": "*", "default": [*STUDY, *SCENES], "choices": [*STUDY, *SCENES]},
-        factors={"nargs": "*", "type": float, "default": FACTORS},
-        seeds={"nargs": "*", "type": int, "default": (0, 1, 2)},
+        scenes={"nargs": "+", "default": [*STUDY, *SCENES], "choices": [*STUDY, *SCENES]},
+        factors={"nargs": "+", "type": float, "default": FACTORS},
+        seeds={"nargs": "+", "type": int, "default": (0, 1, 2)},
     )
     if not 1 <= given.downscale < float("inf"):
         raise SystemExit(f"--downscale is {given.downscale}; give a number of at least 1")

@@ -10,7 +10,6 @@ default results/retrained/soups; runs that it lacks are left out. The script goe
 stored.
 """
 
-import importlib
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +17,7 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, kept, options, write
+from common import Clock, import_pymeshlab, kept, options, write
 from solids import NAMES, RUN, SEED, betti_of, soups_of
 
 from paper_artifact.certify.certificate import certify_mesh
@@ -102,10 +101,7 @@ def rows_of(shape: str, arm: str, soup: Mesh, pymeshlab: ModuleType) -> pd.DataF
 def main() -> None:
     """Measure what is missing in the CSV."""
     given = options(__doc__, soups={"type": Path, "help": "folder of final soups"})
-    try:
-        pymeshlab = importlib.import_module("pymeshlab")
-    except ImportError as error:
-        raise SystemExit(f"pymeshlab does not import ({error}); see docs/study.md") from error
+    pymeshlab = import_pymeshlab()
     path = given.out / "solid_peers.csv"
     table = kept(path, RUN)
     known = set(table[RUN].itertuples(index=False, name=None))

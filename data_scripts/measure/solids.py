@@ -83,6 +83,8 @@ def main() -> None:
     path = given.out / "solids.csv"
     table = kept(path, RUN)
     known = set(table[RUN].itertuples(index=False, name=None))
+    if given.soups is not None and not any(file.is_file() for _, _, file in soups_of(given.soups)):
+        raise SystemExit(f"{given.soups} has none of the final soups; name another folder")
     for shape, arm, file in soups_of(given.soups):
         if (shape, arm, SEED) in known or not (given.soups is None or file.is_file()):
             continue

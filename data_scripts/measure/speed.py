@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -21,6 +20,7 @@ from common import in_turn, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config
+from paper_artifact.files import partial_folder
 from paper_artifact.pipeline import make_run_bundle, make_run_term, prepare_scene
 from paper_artifact.raster.draws import view_key
 from paper_artifact.raster.threads import one_torch_thread, set_thread_count
@@ -141,8 +141,8 @@ def threads_table(folder: Path) -> pd.DataFrame:
 
 if __name__ == "__main__":
     given = options(__doc__, threads={"action": "store_true", "help": "one thread beside two, printed"})
-    with TemporaryDirectory() as name:
+    with partial_folder() as name:
         if given.threads:
-            print(threads_table(Path(name)).round(2).to_string())
+            print(threads_table(name).round(2).to_string())
         else:
-            write(measured(Path(name)), given.out / "speed.csv")
+            write(measured(name), given.out / "speed.csv")

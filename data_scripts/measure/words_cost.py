@@ -6,7 +6,7 @@ One row per shape, M and design: milliseconds of a refresh (samples, diagram, pl
 
 import pandas as pd
 import torch
-from common import Clock, options, write
+from common import Clock, needed, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import study_config
@@ -59,7 +59,7 @@ def measured() -> pd.DataFrame:
     tables, rows = results.load(studies=["table2"]), []
     runs = tables.of("table2").query("condition == 'C0' and seed == 0").set_index("shape")["run"]
     for shape in SHAPES:
-        soup = load_soup(tables.soup_path(runs[shape]))
+        soup = load_soup(tables.soup_path(needed(runs, SHAPES, "table2")[shape]))
         for size in SAMPLES:
             for design in DESIGNS:
                 key = {"shape": shape, "M": size, "design": design}

@@ -259,6 +259,7 @@ class Filtration:
         place = np.flatnonzero((edges == u_v).all(axis=1)) if u_v.shape == (2,) else np.zeros(0, dtype=int)
         if not len(place):
             raise InputError(f"{u_v.tolist()} is no edge of the complex; give one of simplices[1]")
+        u_v = u_v.astype(np.int64)  # whole numbers, as they equal an edge's
         before = self.radii[1] <= self.radii[1][place[0]]
         before[place[0]] = False
         count = int(edges.max()) + 1

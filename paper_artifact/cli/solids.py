@@ -32,6 +32,7 @@ from paper_artifact.ingest.solidify import (
     BACKED,
     CELLS,
     INSIDE,
+    LARGEST_OFFSET,
     OFFSETS,
     Rung,
     check_ladder,
@@ -240,7 +241,8 @@ def offset_table(solid: SoupSolid) -> str:
         )
     elif solid.rung is None:
         tried = ",".join(f"{offset:.3g}" for offset in _others(solid))
-        said = f"no offset gives {text}: no mesh is written; try --offsets {tried}, or train "
+        said = f"no offset gives {text}: no mesh is written; "
+        said += f"try --offsets {tried}, or train " if tried else "train "
         said += "further; from a mesh remove what lies far from the body: it makes ε large"
         if solid.hollow:
             most = max(solid.hollow, key=lambda rung: rung.backed)
@@ -290,7 +292,8 @@ def _others(solid: SoupSolid) -> list[float]:
         if finer.genus > wanted > coarser.genus:
             step = (coarser.offset - finer.offset) / 5
             return [finer.offset + step * part for part in range(1, 5)]
-    return [solid.rungs[-1].offset * factor for factor in (1.25, 1.5, 2, 2.5, 3)]
+    larger = (solid.rungs[-1].offset * factor for factor in (1.25, 1.5, 2, 2.5, 3))
+    return [offset for offset in larger if offset <= LARGEST_OFFSET]
 
 
 def numbers(text: str, kind: type, name: str) -> tuple:

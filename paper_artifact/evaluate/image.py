@@ -108,7 +108,7 @@ def seen_samples(
     if len(points) < count:
         raise InputError(
             f"{len(points)} of {DRAWN * count} points of the soup are seen in {SEEN_IN} views of "
-            f"{scene.path}; give the scene that the soup was trained on"
+            f"{scene.path}; give the scene that the soup was trained on, train it further, or take more views"
         )
     return points[:count]
 

@@ -33,6 +33,7 @@ from paper_artifact.formats.polygons import with_doubles
 from paper_artifact.ingest.distance import distance_grid
 from paper_artifact.mesh import Mesh, checked_mesh, load_mesh, weld
 
+LARGEST_OFFSET = 0.25
 OFFSETS = (0.004, 0.005, 0.006, 0.008, 0.01, 0.0125, 0.016, 0.02)  # ε / diagonal, a factor of 1.25 apart
 OFFSET = 0.008  # ε / diagonal of `solidify`
 # Grid cells per ε. With 1.5, which takes half the time, bob's C0 passes at an ε where 2 shows two handles.
@@ -245,8 +246,8 @@ def check_ladder(offsets: Iterable[float], cells: float = CELLS) -> tuple[float,
     rungs = tuple(sorted(set(offsets)))
     if not rungs:
         raise InputError("no offset to try; give at least one, as a fraction of the diagonal such as 0.008")
-    if wrong := [offset for offset in rungs if not 0 < offset <= 0.25]:
-        raise InputError(f"the offset must be in (0, 0.25] of the diagonal, got {wrong[0]}")
+    if wrong := [offset for offset in rungs if not 0 < offset <= LARGEST_OFFSET]:
+        raise InputError(f"the offset must be in (0, {LARGEST_OFFSET}] of the diagonal, got {wrong[0]}")
     if not (np.isfinite(cells) and cells >= 1):
         raise InputError(f"there must be at least one grid cell per offset, got {cells}")
     return rungs

@@ -124,26 +124,29 @@ def read_model(folder: Path | str) -> Model:
     images that refer to a camera that is not there.
     """
     paths = model_files(folder)
-    parts: list[Any] = []
-    for path in paths:
-        try:
-            parts.append(_parsed(_READERS[path.name], path.read_bytes()))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
-        except (ValueError, LookupError, OverflowError, struct.error) as error:
-            raise InputError(
-                f"{path} is damaged or no COLMAP file ({error}); export the model again"
-            ) from error
-    cameras, images, points = parts
+    cameras, images = map(_read_part, paths[:2])
     for pose in images.values():
+        if isinstance(refused := cameras.get(pose.camera), InputError):
+            raise InputError(f"{paths[0]}: {refused}") from refused
         if pose.camera not in cameras:
             raise InputError(
                 f"{paths[1]}: image {pose.name} refers to camera {pose.camera}, which {paths[0].name} lacks; "
                 "export the model again"
             )
-    return Model(dict(cameras), dict(images), *(each.copy() for each in points))
+    sound = {camera: each for camera, each in cameras.items() if isinstance(each, Intrinsics)}
+    return Model(sound, dict(images), *(each.copy() for each in _read_part(paths[2])))
+
+
+def _read_part(path: Path) -> Any:
+    """Return what one of a model's files holds; InputError as `read_model`."""
+    try:
+        return _parsed(_READERS[path.name], path.read_bytes())
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
+    except (ValueError, LookupError, OverflowError, struct.error) as error:
+        raise InputError(f"{path} is damaged or no COLMAP file ({error}); export the model again") from error
 
 
 @lru_cache(maxsize=len(FILES))  # a command reads its scene's model several times: digest, views, subject
@@ -203,17 +206,22 @@ class _Bytes:
             raise ValueError(f"{len(self.data) - self.offset} bytes follow the last entry")
 
 
-def _pinhole(camera: int, model: str, width: float, height: float, numbers: Sequence[float]) -> Intrinsics:
-    """Return a camera without its distortion. Raises InputError for one that bends rays: where that is not
-    zero, and any other model, those newer than this list too."""
+def _pinhole(
+    camera: int, model: str, width: float, height: float, numbers: Sequence[float]
+) -> Intrinsics | InputError:
+    """Return a camera without its distortion. For one that bends rays return the error that is raised where
+    an image names it: where distortion is not zero, and any other model, those newer than this list too."""
     count, focal = MODELS.get(model) or (None, 0)
     if model in PINHOLES and len(numbers) != count:
         raise ValueError(f"{model} with {len(numbers)} parameters")
     if len(numbers) != count or any(numbers[focal + 2 :]):
-        raise InputError(
+        refused = InputError(
             f"camera {camera} is a {model} camera; undistort first (colmap image_undistorter), "
             f"only {' and '.join(reversed(PINHOLES))}, and zero distortion, are read"
         )
+        if count is None:  # how many numbers it has, and where the next camera begins, is unknown
+            raise refused
+        return refused
     parameters = tuple(map(float, numbers[: focal + 2]))
     largest = np.abs([width, height, *parameters]).max()
     if width < 1 or height < 1 or not largest < LARGEST or min(parameters[:focal]) <= 0:
@@ -227,7 +235,8 @@ def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
     if math.hypot(*numbers[:4]) < SHORTEST:
         raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
     # An absolute name, of another machine, is looked for by its last parts.
-    if any(part in ("", ".", "..") for part in name.replace("\\", "/").removeprefix("/").split("/")):
+    parts = name.replace("\\", "/").split("/")
+    if ".." in parts or parts[-1] in ("", "."):
         raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
     w, x, y, z, across, down, ahead = map(float, numbers)
     return Pose(name, int(camera), (w, x, y, z), (across, down, ahead))
@@ -249,8 +258,8 @@ def _add(found: dict[int, Any], key: int, value: Any) -> None:
     found[key] = value
 
 
-def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics]:
-    stream, cameras = _Bytes(data), dict[int, Intrinsics]()
+def _read_cameras_binary(data: bytes) -> dict[int, Intrinsics | InputError]:
+    stream, cameras = _Bytes(data), dict[int, Intrinsics | InputError]()
     for _ in range(stream.take("Q")[0]):
         camera, number, width, height = stream.take("iiQQ")
         if not 0 <= number < MOST_MODELS:
@@ -299,8 +308,8 @@ def _rows(data: bytes) -> list[str]:
     return [line for line in decoded(data).split("\n") if line.strip() and not line.lstrip().startswith("#")]
 
 
-def _read_cameras_text(data: bytes) -> dict[int, Intrinsics]:
-    cameras: dict[int, Intrinsics] = {}
+def _read_cameras_text(data: bytes) -> dict[int, Intrinsics | InputError]:
+    cameras: dict[int, Intrinsics | InputError] = {}
     for row in _rows(data):
         camera, model, width, height, *parameters = row.split()
         if not model.replace("_", "").isupper():

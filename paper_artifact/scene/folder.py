@@ -41,7 +41,7 @@ def scene_root(path: Path | str) -> Path:
 
     The folder itself; the one above, for its sparse/, sparse/0 or images; and dense/ in it, COLMAP's name for
     the undistorted photographs, whose own camera models could not be read. Raises InputError when there is no
-    such folder, and for sparse/1 where sparse/0 is what is read.
+    such folder, and for sparse/1 or images_2 where sparse/0 or images is what is read.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"a scene is named by its folder's path, not by {path!r:.60}")
@@ -56,9 +56,10 @@ def scene_root(path: Path | str) -> Path:
         for each in (folder / UNDISTORTED, folder):
             model = model_folder(each)
             if any((each / name).is_dir() for name in IMAGE_FOLDERS) and _has_model(model):
-                if path.parent.name == "sparse" and _has_model(path) and model.resolve() != path:
+                read = model if path.parent.name == "sparse" else each / (_images_of(each) or "")
+                if path != read.resolve() and (path.parent.name == "sparse" or path.name in IMAGE_FOLDERS):
                     raise InputError(
-                        f"{path} is not the model that is read, which is {model}; move the others away"
+                        f"{path} is not the folder that is read, which is {read}; move the others away"
                     )
                 return each
     return path
@@ -69,7 +70,7 @@ def model_folder(root: Path) -> Path:
     numbered folder; sparse/0, or sparse/, where none has."""
     for name in MODEL_FOLDERS:
         place = inside(root, name)
-        numbered = sorted(place.glob("[0-9]*")) if name != "." and place.is_dir() else []
+        numbered = _numbered(place) if name != "." and place.is_dir() else []
         for folder in (*(inside(root, str(each.relative_to(root))) for each in numbered), place):
             if _has_model(folder):
                 return folder
@@ -79,8 +80,13 @@ def model_folder(root: Path) -> Path:
 
 def other_models(folder: Path) -> list[str]:
     """Return the names of the other numbered models beside a numbered one."""
-    numbered = sorted(folder.parent.glob("[0-9]*")) if folder.name[:1].isdecimal() else []
+    numbered = _numbered(folder.parent) if folder.name[:1].isdecimal() else []
     return [each.name for each in numbered if each != folder and _has_model(each)]
+
+
+def _numbered(place: Path) -> list[Path]:
+    """Return what is in a folder and begins with a number, as 0, 1, …, 10."""
+    return sorted(place.glob("[0-9]*"), key=lambda each: (len(each.name), each.name))
 
 
 def _has_model(folder: Path) -> bool:
@@ -90,11 +96,16 @@ def _has_model(folder: Path) -> bool:
 def image_file(root: Path, name: str) -> Path | None:
     """Return the photograph that a scene's model calls `name`, see `find_file`; None where there is none. All
     are in the first of IMAGE_FOLDERS that holds anything: others may hold distorted or smaller ones."""
-    held = (each for each in IMAGE_FOLDERS if (root / each).is_dir() and any((root / each).iterdir()))
-    if (folder := next(held, None)) is None:
+    if (folder := _images_of(root)) is None:
         return None
     found = find_file(inside(root, folder), name)
     return None if found is None else inside(root, str(found.relative_to(root)))
+
+
+def _images_of(root: Path) -> str | None:
+    """Return the first of IMAGE_FOLDERS that holds anything, None where there is none."""
+    held = (each for each in IMAGE_FOLDERS if (root / each).is_dir() and any((root / each).iterdir()))
+    return next(held, None)
 
 
 def scene_name(root: Path) -> str:

@@ -178,6 +178,13 @@ def _views(path: Path, model: Model, complete: bool) -> dict[int, Path]:
     for image, pose in poses:  # one of another ending belongs to the image that is called so
         if files[image] in exact and not str(files[image]).endswith(f"/{pose.name}"):
             files[image] = None
+    owners: dict[Path, str] = {}
+    for image, pose in poses:
+        if (file := files[image]) is not None and (owner := owners.setdefault(file, pose.name)) != pose.name:
+            raise InputError(
+                f"{file} would be the photograph of two images, {owner} and {pose.name}; copy the "
+                "photographs with their folders and endings"
+            )
     missing = [pose.name for image, pose in poses if files[image] is None]
     if missing and (complete or len(missing) > len(poses) - 2):
         raise InputError(
@@ -220,7 +227,7 @@ def held_out(rule: str, names: Sequence[str], centres: np.ndarray) -> np.ndarray
     k-th from the first on); names with commas between; or "auto" (`_surrounded`). Raises InputError for
     another rule, an unknown name, or a rule that leaves no view to train on.
     """
-    if rule == NONE:
+    if (rule := rule if rule in names else rule.strip()) == NONE:
         return np.arange(0)
     if rule == AUTO:
         return _surrounded(centres)
