@@ -91,7 +91,7 @@ def _unequal(record: Mapping[str, Any]) -> str | None:
         return "losses loss"
     for k, event in enumerate(record.get("topology") or ()):
         for name, plan in event.get("dimensions", {}).items():
-            if "statement" in record and len(plan["margins"]) <= plan["wanted"]:
+            if "statement" in record and len(plan["margins"]) < plan["wanted"] + bool(plan["surplus"]):
                 return f"topology[{k}] dimensions {name} margins"
     return "dumps" if record["tails"] and not record["dumps"] else None
 
