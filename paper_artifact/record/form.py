@@ -22,7 +22,7 @@ class Either:
 
 MISSING = object()  # of no form
 NEVER = Either(())
-LARGEST = 1e18  # of a number: beyond what a run measures
+LARGEST = 1e300  # of a number: users' units may be huge, and a float holds it
 REAL = int | float
 NUMBER = REAL | None  # None: it was not finite
 NUMBERS, COUNTS = (NUMBER,) * 3, (int,) * 3  # one per dimension
