@@ -238,7 +238,7 @@ def test_a_bent_camera_is_refused_where_an_image_names_it(tmp_path):
     bent = "2 OPENCV 40 30 50 50 20 15 .1 0 0 0\n"
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 40 30 50 50 20 15\n" + bent)
     (tmp_path / "points3D.txt").write_text("1 0 0 0 1 2 3 0\n")
-    for camera, name in ((1, "./a//0.png"), (2, "b.png")):
+    for camera, name in ((1, "a/0.png"), (2, "b.png")):
         (tmp_path / "images.txt").write_text(f"1 1 0 0 0 0 0 4 {camera} {name}\n")
         if camera == 1:
             model = read_model(tmp_path)

@@ -235,9 +235,11 @@ def _checked_pose(name: str, camera: int, numbers: tuple[float, ...]) -> Pose:
     if math.hypot(*numbers[:4]) < SHORTEST:
         raise ValueError(f"image '{name}' has no valid pose: its quaternion is (almost) zero")
     # An absolute name, of another machine, is looked for by its last parts.
-    parts = name.replace("\\", "/").split("/")
-    if ".." in parts or parts[-1] in ("", "."):
-        raise InputError(f"image '{name}' lies outside of the scene; export the model with relative names")
+    if any(part in ("", ".", "..") for part in name.replace("\\", "/").removeprefix("/").split("/")):
+        raise InputError(
+            f"image '{name}' is no plain relative name, or lies outside of the scene; export the model with "
+            "such names"
+        )
     w, x, y, z, across, down, ahead = map(float, numbers)
     return Pose(name, int(camera), (w, x, y, z), (across, down, ahead))
 
