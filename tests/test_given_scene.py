@@ -327,6 +327,11 @@ def test_the_folder_is_found_by_what_people_give(own, tmp_path):
             (root / model).parent.mkdir(parents=True, exist_ok=True)
             (root / "moved").rename(root / model)
         assert np.array_equal(load_scene(root).images, expected.images) and scene_digest(root) == digest
+    for name in ("sparse/mug", "images", "input"):  # what a scene is called, or lies in, says nothing
+        root = Path(shutil.copytree(own, tmp_path / "called" / name))
+        assert scene_root(root) == root
+    shutil.copytree(own / "images", own.parent / "images")  # the photographs as taken, beside dense/
+    assert scene_root(own.parent / "images") == own
 
 
 def test_names_that_nearly_match_and_views_without_image(own, capsys):

@@ -58,8 +58,8 @@ def measured() -> pd.DataFrame:
     """Return the table."""
     tables, rows = results.load(studies=["table2"]), []
     runs = tables.of("table2").query("condition == 'C0' and seed == 0").set_index("shape")["run"]
-    for shape in SHAPES:
-        soup = load_soup(tables.soup_path(needed(runs, SHAPES, "table2")[shape]))
+    for shape, run in needed(runs, SHAPES, "table2")[[*SHAPES]].items():
+        soup = load_soup(tables.soup_path(run))
         for size in SAMPLES:
             for design in DESIGNS:
                 key = {"shape": shape, "M": size, "design": design}

@@ -30,12 +30,11 @@ from paper_artifact.config import DEFAULTS_VERSION, RunConfig, config_from, conf
 from paper_artifact.errors import InputError
 from paper_artifact.files import RESULTS, cut_name, load_json, write_text
 from paper_artifact.record.environment import host, packages
-from paper_artifact.record.form import misfit
+from paper_artifact.record.form import form_of, misfit
 
 SCHEMA = "paper_artifact.run"
 VERSION = 2
 RUNS = RESULTS / "runs"
-REQUIRED = ("config", "config_hash", "defaults", "digest", "dumps", "host", "packages", "tails", "timings")
 DIGITS = 7
 HASH_DIGITS = 12
 ROUNDED = ("dumps", "tails", "topology")  # sections of measurements, kept to DIGITS significant digits
@@ -176,7 +175,7 @@ def read_record(path: Path | str) -> dict:
         record |= {name: unpack(record[name]) for name in ROUNDED if name in record}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise fault(f"is damaged in its tables ({error})") from error
-    if missing := [name for name in REQUIRED if name not in record]:
+    if missing := [name for name in form_of(record) if not name.endswith("?") and name not in record]:
         raise fault(f"lacks {', '.join(missing)}")
     try:
         config, version = config_of(record), record["defaults"]

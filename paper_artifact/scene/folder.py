@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from os.path import isdir
 from pathlib import Path
@@ -56,8 +56,8 @@ def scene_root(path: Path | str) -> Path:
         for each in (folder / UNDISTORTED, folder):
             model = model_folder(each)
             if any((each / name).is_dir() for name in IMAGE_FOLDERS) and _has_model(model):
-                read = model if path.parent.name == "sparse" else each / (_images_of(each) or "")
-                if path != read.resolve() and (path.parent.name == "sparse" or path.name in IMAGE_FOLDERS):
+                read = each / (_images_of(each) or "") if path.name in IMAGE_FOLDERS else model
+                if each == folder != path and path.name != "sparse" and path != read.resolve():
                     raise InputError(
                         f"{path} is not the folder that is read, which is {read}; move the others away"
                     )
@@ -93,13 +93,13 @@ def _has_model(folder: Path) -> bool:
     return any((folder / f"cameras{ending}").is_file() for ending in (".bin", ".txt"))
 
 
-def image_file(root: Path, name: str) -> Path | None:
-    """Return the photograph that a scene's model calls `name`, see `find_file`; None where there is none. All
-    are in the first of IMAGE_FOLDERS that holds anything: others may hold distorted or smaller ones."""
-    if (folder := _images_of(root)) is None:
-        return None
-    found = find_file(inside(root, folder), name)
-    return None if found is None else inside(root, str(found.relative_to(root)))
+def image_files(root: Path, names: Iterable[str]) -> Iterator[Path | None]:
+    """Yield the photographs that a scene's model calls so, see `find_file`; None where there is none. All are
+    in the first of IMAGE_FOLDERS that holds anything: others may hold distorted or smaller ones."""
+    folder = _images_of(root)
+    for name in names:
+        found = None if folder is None else find_file(inside(root, folder), name)
+        yield None if found is None else inside(root, str(found.relative_to(root)))
 
 
 def _images_of(root: Path) -> str | None:
@@ -165,8 +165,8 @@ def scene_digest(root: Path) -> str:
     names = sorted(pose.name for pose in read_model(folder).images.values())
     files = zip(FILES, model_files(folder), strict=True)
     held = {f"model/{name}": file_digest(file) for name, file in files}
-    for name in names:
-        if (file := image_file(root, name)) is None:
+    for name, file in zip(names, image_files(root, names), strict=True):
+        if file is None:
             continue  # `load_scene` leaves such views out
         held[f"images/{name}"] = _sha256_of(read_file(file))
         if (mask := mask_of(root, name)) is not None:

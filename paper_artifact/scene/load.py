@@ -17,7 +17,7 @@ from paper_artifact.scene.cameras import FAR, NEAR, framed, picture_radii, world
 from paper_artifact.scene.colmap import Model, read_model
 from paper_artifact.scene.folder import (
     check_files,
-    image_file,
+    image_files,
     model_folder,
     other_models,
     read_description,
@@ -173,11 +173,11 @@ def _views(path: Path, model: Model, complete: bool) -> dict[int, Path]:
     complete: raise InputError for the first that is not there, as for fewer than two views left.
     """
     poses = sorted(model.images.items(), key=lambda each: each[1].name)
-    files = {image: image_file(path, pose.name) for image, pose in poses}
-    exact = {files[image] for image, pose in poses if str(files[image]).endswith(f"/{pose.name}")}
-    for image, pose in poses:  # one of another ending belongs to the image that is called so
-        if files[image] in exact and not str(files[image]).endswith(f"/{pose.name}"):
-            files[image] = None
+    found = image_files(path, [pose.name for _, pose in poses])
+    files = {image: file for (image, _), file in zip(poses, found, strict=True)}
+    exact = {image for image, pose in poses if str(files[image]).endswith(f"/{pose.name}")}
+    taken = {files[image] for image in exact}  # by the image that is called so, of all that nearly are
+    files = {image: file if image in exact or file not in taken else None for image, file in files.items()}
     owners: dict[Path, str] = {}
     for image, pose in poses:
         if (file := files[image]) is not None and (owner := owners.setdefault(file, pose.name)) != pose.name:
