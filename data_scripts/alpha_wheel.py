@@ -82,7 +82,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "alpha")
     folder = parser.parse_args().folder
-    with TemporaryDirectory() as made:
-        wheel = made_and_tried(Path(made))
+    try:
         folder.mkdir(parents=True, exist_ok=True)
-        print(shutil.copy(wheel, folder))
+        with TemporaryDirectory() as made:
+            print(shutil.copy(made_and_tried(Path(made)), folder))
+    except KeyboardInterrupt:
+        sys.exit("alpha_wheel.py: interrupted; no wheel was made")

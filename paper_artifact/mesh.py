@@ -118,7 +118,10 @@ def checked_mesh(
         check_scale(kept_vertices, name)
     diagonal = float(norm(np.ptp(kept_vertices, axis=0))) if len(kept_faces) else 0.0
     if float(face_areas(kept_vertices, kept_faces).sum()) <= AREA_FLOOR * diagonal**2:
-        raise InputError(f"{name} has only triangles of zero area; give a mesh with a surface")
+        raise InputError(
+            f"{name} has only triangles of zero area, or next to none beside its extent of {diagonal:.3g}; "
+            "give a mesh with a surface, without points far away"
+        )
     return Mesh(kept_vertices, kept_faces, name, betti)
 
 

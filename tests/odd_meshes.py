@@ -54,6 +54,10 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "far_back.obj": ((CORNERS + "f -1 -2 -9\n").encode(), "far_back.obj"),
     "beyond.ply": (ply(faces=[(0, 1, 9)]), "vertex 9 of 8"),
     "collinear.obj": (b"v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n", "zero area"),
+    "stray.obj": (
+        (CORNERS + "v 1e38 0 0\nf 1 2 3\nf 1 2 4\nf 1 1 5\nf 2 4 3\nf 1 2 5\n").encode(),
+        "next to none",
+    ),
     "same_corner.obj": ((CORNERS + "f 1 1 2\nf 2 2 2\n").encode(), "same_corner.obj"),
     "astronomic.obj": (b"v 0 0 0\nv 1e200 0 0\nv 0 1e200 0\nf 1 2 3\n", "too large"),
     "vanishing.obj": (b"v 0 0 0\nv 1e-200 0 0\nv 0 1e-200 0\nf 1 2 3\n", "vanishing.obj"),

@@ -217,6 +217,7 @@ def test_terminals_that_lack_a_sign_get_plain_letters(encoding):
         ("$PY certify cube >&-", 0, ""),  # stdout is closed
         ("$PY certify cube >&- 2>&-", 0, ""),
         ("$PY certify cube > /dev/full", 1, "cannot write"),
+        ("PYTHONUNBUFFERED= ${PY} train --help > /dev/full", 1, "cannot write"),
         ("${PY} sweep table1 --list > /dev/full", 1, "the output: No space left on device; free some space"),
         ("$PY certify cube 1</dev/null", 1, "the output: Bad file descriptor; open it for writing"),
         ("cat /dev/null | $PY certify /dev/stdin", 1, "/dev/stdin is a pipe or a device; save the mesh in a"),

@@ -116,6 +116,13 @@ def test_bad_configurations_are_refused(field, value):
         SceneConfig(**{field: value})
 
 
+def test_a_mesh_so_large_that_its_scene_would_not_be_read_is_refused(tmp_path):
+    torus = make_shape("torus")
+    with pytest.raises(InputError, match="scale it down"):
+        build_scene(replace(torus, vertices=1e25 * torus.vertices), SceneConfig(), tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
 def test_a_foreign_scene_in_text_with_transparent_images(damaged):
     (damaged / "scene.json").unlink()
     (damaged / "ground_truth.npz").unlink()

@@ -1,6 +1,7 @@
 """Solids of soups: analytic soups of known topology, the offset taken, the way back, crossings, errors."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from paper_artifact.export.solid import (
     solidify_soup,
     write_solid,
 )
+from paper_artifact.frame import Frame
 from paper_artifact.ingest.crossings import crossing_faces
 from paper_artifact.ingest.distance import nearest_on
 from paper_artifact.ingest.solidify import Rung, check_ladder, plateau, wanted_of
@@ -191,6 +193,13 @@ def test_written_solids_read_back_and_repeat(tmp_path):
         assert np.array_equal(load_mesh(tmp_path / f"a.{kind}", welded=False).vertices, solid.mesh.vertices)
     colours = trimesh.load(tmp_path / "a.ply", process=False).visual.vertex_colors[:, :3]
     assert np.abs(colours / 255 - solid.colours).max() < 0.003
+    for frame, words in (
+        (Frame((2.0**51, 0.0, 0.0)), "coincide at coordinates"),
+        (Frame(exponent=800), "too large"),
+    ):
+        with pytest.raises(InputError, match=words):
+            write_solid(tmp_path / "far.ply", replace(solid, frame=frame))
+    assert not (tmp_path / "far.ply").exists()
 
 
 def test_nearest_points_agree_with_trimesh():

@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start th
 import pandas as pd
 
 from paper_artifact.cli import sentence
-from paper_artifact.files import write_text
+from paper_artifact.files import check_writable, write_text
 from paper_artifact.results import MEASURED
 
 
@@ -92,8 +92,9 @@ def options(text: str | None, **extra: Mapping[str, Any]) -> argparse.Namespace:
     for name, keywords in extra.items():
         parser.add_argument(f"--{name}", **keywords)
     given = parser.parse_args()
-    if given.out.exists() and not given.out.is_dir():  # before anything is measured
+    if given.out.exists() and not given.out.is_dir():
         parser.error(f"--out {given.out} is no folder; name another")
+    check_writable(given.out / f"{parser.prog}.csv")  # before anything is measured
     return given
 
 

@@ -157,7 +157,10 @@ def _run(argv: list[str], asked: str | None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(parser)  # returns at once unless a shell asks for proposals
-    namespace = parser.parse_args(argv)
+    try:
+        namespace = parser.parse_args(argv)
+    finally:  # --help ends there, and argparse does not say what it could not write
+        sys.stdout.flush()
     assert runner is not None  # else argparse refused the verb
     options = read_options(_options_of(runner), namespace)
     file = getattr(options, "json", None)

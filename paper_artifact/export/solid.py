@@ -28,7 +28,7 @@ from paper_artifact.ingest.solidify import (
     write_certified,
 )
 from paper_artifact.ingest.surgery import without_holes
-from paper_artifact.mesh import Mesh, checked_mesh
+from paper_artifact.mesh import Mesh, check_scale, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.soup.state import Soup
@@ -209,8 +209,15 @@ def write_solid(path: Path | str, solid: SoupSolid) -> Certificate:
         vertex_colors=np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8),
         process=False,
     )
+    outer = placed(solid.mesh, solid.frame)
+    check_scale(outer.vertices, f"the solid for {path}")
+    if len(np.unique(outer.vertices, axis=0)) < len(np.unique(solid.mesh.vertices, axis=0)):
+        raise InputError(
+            f"points of the solid coincide at coordinates of up to {np.abs(outer.vertices).max():.3g}, so "
+            f"{path} was not written; move the mesh nearer to the origin, or scale it up"
+        )
     data = glb_bytes(mesh, solid.frame) if glb else ply_bytes(mesh, solid.frame)
-    return write_certified(path, placed(solid.mesh, solid.frame), data)
+    return write_certified(path, outer, data)
 
 
 def placed(mesh: Mesh, frame: Frame) -> Mesh:

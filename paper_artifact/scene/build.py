@@ -21,7 +21,7 @@ from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.cameras import CAMERA_DISTANCE, FIELD_OF_VIEW, Camera, fibonacci_cameras, unframed
-from paper_artifact.scene.colmap import pinhole_model, write_model
+from paper_artifact.scene.colmap import FARTHEST, pinhole_model, write_model
 from paper_artifact.scene.folder import DESCRIPTION, GROUND_TRUTH, holds, value_digest, whole_folder
 from paper_artifact.scene.ground_truth import (
     background_colour,
@@ -184,6 +184,11 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
                 f"the scene in {folder} has lost some of its files; remove the folder to build it again"
             )
         return folder
+    farthest = float(arithmetic.norm(mesh.centre)) + CAMERA_DISTANCE * mesh.radius
+    if not farthest < FARTHEST / 10:  # noise takes cameras and points farther
+        raise InputError(
+            f"{mesh.name} takes a scene out to {farthest:.3g}, which is not read back; scale it down"
+        )
     with whole_folder(folder, key) as temporary:
         _write_scene(mesh, config, temporary, key, progress)
     return folder
