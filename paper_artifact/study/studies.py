@@ -97,6 +97,17 @@ STUDIES: dict[str, tuple[Block, ...]] = {
             for shapes, seeds in ((PAIR, range(1, 5)), (("cube", "cylinder"), range(5)))
             for protection in (0.5, 1.0, 1.5)
         ),
+        # One strength whose seed shows the phantom loops, with five; and the cube under larger shares.
+        *(
+            Block(shapes, PRIORS, seeds, allocation={"protection": 1.5, "subdivided": 0.02})
+            for shapes, seeds in ((PAIR, range(1, 5)), (("cube", "cylinder"), range(5)))
+        ),
+        *(
+            Block(
+                ("cube",), PRIORS, range(1), allocation={"protection": protection, "subdivided": subdivided}
+            )
+            for protection, subdivided in ((0.5, 0.02), (0.5, 0.05), (1.0, 0.02), (1.0, 0.05), (1.5, 0.05))
+        ),
     ),
     # S2: what else App. A leaves open, at λ = 1 with one seed: centres at death simplices alone; a share that
     # the field's width decides; a first prune of less.
