@@ -123,6 +123,8 @@ def frames(pose=None, *file_paths):
         (frames(np.eye(4) + np.eye(4, k=1)), "is no pose"),  # but sheared
         (frames(np.eye(4) + np.diag([0.08, 0, 0], k=1)), "is no pose"),  # by five degrees
         ({"white_transparent": True}, "has white_transparent, which is not read"),
+        ({"normal_mts_args": {}}, "has normal_mts_args, which is not read; turn its poses into OpenGL's"),
+        ({"fix_premult": True}, "has fix_premult, which is not read; divide"),
         ({"ply_file_path": "."}, "names the cloud ., which is not there"),
         ({"cx": 0.5, "cy": 0.5}, "are 0.5, 0.5; give them in pixels"),
         ({"distortion_params": [0, 0, 0, 1, 0, 0]}, "k4 1, which is not read"),

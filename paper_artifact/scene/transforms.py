@@ -50,7 +50,16 @@ OTHER_LENSES = (
     *("is_fisheye", "fisheye", "is_latlong", "latlong", "equirectangular", "is_equirectangular"),
     *("orthographic", "ftheta_p0", "rolling_shutter", "k4", "k5", "k6", "skew"),
 )
-KEYED = ("white_transparent", "black_transparent", "mask_color")  # of instant-ngp: colours that are clear
+UNREAD = {  # of instant-ngp and its kin, where they are there and not false: what to do instead
+    **dict.fromkeys(
+        ("white_transparent", "black_transparent", "mask_color"),
+        "make these pixels transparent in the images instead",
+    ),
+    "fix_premult": "divide the images' colours by their alpha instead",
+    **dict.fromkeys(
+        ("normal_mts_args", "from_mitsuba", "from_na"), "turn its poses into OpenGL's and take the key out"
+    ),
+}
 OPENCV = ("k1", "k2", "k3", "k4", "p1", "p2")  # what nerfstudio lists as distortion_params
 INTRINSICS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 OPAQUE = 26  # of 255: the alpha from which on a pixel may show the object
@@ -221,11 +230,9 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
     models = [each for each in MODELS if str(both.get(each) or LENSES[0]).upper() not in LENSES]
     rays = [each for each in OTHER_LENSES if np.any(both.get(each) or 0)]
     lens = next((f"{each} {both[each]}" for each in rays + models), None)
-    keyed = [each for each in KEYED if both.get(each)]
-    if keyed:
-        raise InputError(
-            f"{file} has {keyed[0]}, which is not read; make these pixels transparent in the images instead"
-        )
+    for each, advice in UNREAD.items():
+        if both.get(each) not in (None, False, 0):
+            raise InputError(f"{file} has {each}, which is not read; {advice}")
     if lens is not None:
         raise InputError(
             f"{file}: {name} has {lens}, which is not read; turn the images into those of pinhole cameras "
