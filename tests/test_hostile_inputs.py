@@ -16,9 +16,10 @@ from PIL import Image
 from paper_artifact.errors import InputError
 from paper_artifact.files import LARGEST, inside, load_npz, write_npz
 from paper_artifact.mesh import load_mesh
+from paper_artifact.photos.pictures import photographs_in, unread
 from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
-from paper_artifact.scene.images import MOST_PIXELS
+from paper_artifact.scene.images import MOST_PIXELS, read_pixels
 from paper_artifact.scene.load import load_scene
 from tests.file_features import Gltf
 from tests.fuzz_readers import fuzz
@@ -31,6 +32,36 @@ def test_two_hundred_mutated_files_are_read_or_refused():
     assert len(found) == 200
     assert [each for each in found.values() if each[1] not in ("read", "refused")] == []
     assert {"read", "refused"} == {result for _, result in found.values()}
+
+
+@pytest.mark.parametrize("kind, refused", [("jpg", True), ("png", True), ("webp", True), ("bmp", False)])
+def test_pictures_whose_end_is_zeros_were_cut(tmp_path, kind, refused):
+    """What a copy leaves that makes room first. A JPEG with zeros behind its end is whole."""
+    file = tmp_path / f"a.{kind}"
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (60, 60, 3), dtype=np.uint8)).save(file)
+    whole, data = read_pixels(file, 1.0).colours, file.read_bytes()
+    file.write_bytes(data + bytes(4096))
+    if kind != "webp":
+        assert (read_pixels(file, 1.0).colours == whole).all()
+    file.write_bytes(data[: len(data) * 9 // 10] + bytes(len(data) - len(data) * 9 // 10))
+    if refused:
+        with pytest.raises(InputError, match=f"a.{kind} is damaged"):
+            read_pixels(file, 1.0)
+
+
+def test_photographs_behind_lost_links_are_told_and_long_names_refused(tmp_path):
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        (tmp_path / name).touch()
+    (tmp_path / "d.jpg").symlink_to(tmp_path / "gone.jpg")
+    assert set(photographs_in(tmp_path)) == {"a", "b", "c"}
+    assert unread(tmp_path) == ["left out, as links that lead nowhere: d.jpg; fetch what they point to"]
+    (tmp_path / "c.jpg").unlink()
+    with pytest.raises(InputError, match="has 2 photographs .* lead nowhere: d.jpg"):
+        photographs_in(tmp_path)
+    (tmp_path / ("x" * 130)).mkdir()
+    (tmp_path / ("x" * 130) / f"{'y' * 130}.jpg").touch()
+    with pytest.raises(InputError, match="more than 240 bytes together"):
+        photographs_in(tmp_path)
 
 
 @pytest.fixture

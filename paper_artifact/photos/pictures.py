@@ -48,6 +48,7 @@ LENS_TAGS = (
 LEVEL = (0.0, -1.0)  # where up is in a picture that stands right: x to the right, y down
 UP = {3: (0.0, 1.0), 4: (0.0, 1.0), 5: (-1.0, 0.0), 6: (-1.0, 0.0), 7: (1.0, 0.0), 8: (1.0, 0.0)}
 """Where up is in the stored picture, by EXIF orientation; the others are LEVEL."""
+LONGEST_NAME = 240  # bytes; with the endings of pictures and masks a file system's 255
 ROUNDS = 20  # of the alternating fit
 SMALLEST = 0.03  # log of an exposure below which a picture is left as it is
 DARK, BRIGHT = 0.02, 0.9  # linear light: darker is noise, brighter may be clipped
@@ -72,6 +73,11 @@ def photographs_in(folder: Path | str) -> dict[str, Path]:
             name = _readable("_".join(each.relative_to(folder).with_suffix("").parts))
             if name in photographs:
                 raise InputError(f"{folder} has two photographs called {name}; give each a different name")
+            if len(os.fsencode(name)) > LONGEST_NAME:
+                raise InputError(
+                    f"{each.relative_to(folder)}: sub-folder and name have more than {LONGEST_NAME} bytes "
+                    "together; give shorter ones"
+                )
             photographs[name] = each
     if len(photographs) < LEAST:
         others = sorted({each.suffix.lower() for each in files} - {*ENDINGS, ""})
@@ -100,7 +106,7 @@ def _derived(folder: Path, file: Path) -> list[str]:
 
 
 def unread(folder: Path) -> list[str]:
-    """Return what is left out of a folder of photographs, a sentence for kinds and one for sub-folders."""
+    """Return what is left out of a folder of photographs, a sentence for kinds, sub-folders, links."""
     endings = Counter(each.suffix.lower() for each in _files(folder))
     found = [ending for ending in (*UNREAD, *VIDEOS) if endings[ending]]
     count = sum(endings[ending] for ending in found)
@@ -108,6 +114,10 @@ def unread(folder: Path) -> list[str]:
     copies = {part for each in folder.rglob("*.*") for part in _derived(folder, each)}
     if copies:
         told.append(f"left out as copies or masks: {', '.join(sorted(copies))}; give such a folder by itself")
+    lost = [each.name for each in folder.rglob("*") if each.is_symlink() and not each.exists()]
+    if lost:
+        shown = ", ".join(sorted(lost)[:4]) + " …" * (len(lost) > 4)
+        told.append(f"left out, as links that lead nowhere: {shown}; fetch what they point to")
     return told
 
 

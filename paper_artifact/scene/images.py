@@ -26,6 +26,8 @@ from paper_artifact.scene.cameras import Camera
 COLOURS = ("RGB", "RGBA", "P", "PA", "CMYK", "YCbCr")
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
+ENDS = {"JPEG": (b"\xff\xd9",), "PNG": (b"IEND\xaeB`\x82",), "WEBP": ()}  # in what files end, but for zeros
+PADDING = 64  # zeros at a file's end, at least, that are no part of a compressed picture
 BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
 LIGHT = 240  # of 255: a mask's white is at least this
 COLOURED = 60  # of 255: what a grey pixel's channels differ by at most, a JPEG's too
@@ -150,6 +152,13 @@ def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Imag
                 raise InputError(f"{file} has {many}; scale it down")
             if picture.mode not in TRANSPARENT + OPAQUE:
                 raise InputError(f"{file} has pixels of type {picture.mode}; convert it to 8-bit RGB")
+            data = content.getvalue() if content else file.read_bytes()
+            if data.endswith(bytes(PADDING)) and not data.rstrip(b"\0").endswith(
+                ENDS.get(picture.format or "", b"")
+            ):
+                raise InputError(
+                    f"{file} is damaged: it ends in zeros, as a copy that was cut; copy it again"
+                )
             yield picture
     except InputError:
         raise
