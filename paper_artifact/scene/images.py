@@ -168,7 +168,8 @@ def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Imag
         ) from error
     except UnidentifiedImageError as error:
         raise InputError(
-            f"{file} is no image of the kinds {', '.join(IMAGE_FORMATS)}; convert it or leave it out"
+            f"{file} is no image of the kinds {', '.join(IMAGE_FORMATS)}, or its head is damaged; "
+            "convert it, copy it again, or leave it out"
         ) from error
     except Exception as error:  # PIL's decoders raise whatever their decoding meets
         reason = " ".join(str(error).split())[:120] or type(error).__name__
