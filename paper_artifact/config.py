@@ -53,10 +53,14 @@ def _check_ranges(config: Any) -> None:
         about, value = each.metadata, getattr(config, each.name)
         if "choices" in about and value not in about["choices"]:
             raise InputError(f"unknown {each.name} {value!r}; choose one of {', '.join(about['choices'])}")
-        if limits(about) and not (
-            about.get("above", -math.inf) < value < about.get("below", math.inf)
-            and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
-        ):
+        try:
+            inside = not limits(about) or (
+                about.get("above", -math.inf) < value < about.get("below", math.inf)
+                and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
+            )
+        except TypeError as error:
+            raise InputError(f"{each.name} takes a number, got {_brief(value)}") from error
+        if not inside:
             unit = f" {about['unit']}" if "unit" in about else ""
             raise InputError(f"{each.name} must be {limits(about)}{unit}, got {_brief(value)}")
 
@@ -260,10 +264,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
 
 def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
     """Return {name: value} of texts NAME=VALUE; a value is a Python literal, a bare list "1,2", or else text.
-
-    option: the command-line option, for the message of the InputError that a text without an equals sign
-    raises.
-    """
+    Raises InputError, which names the command-line `option`, for a text without an equals sign."""
     parsed: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")

@@ -82,6 +82,12 @@ def test_a_configuration_out_of_range_is_refused(changes, words):
         study_config("sphere", **({"condition": "C1"} | changes))
 
 
+@pytest.mark.parametrize("value", ["100", [1], None])
+def test_what_is_no_number_is_refused_by_name(value):
+    with pytest.raises(InputError, match="steps takes a number, got"):
+        RunConfig("sphere", steps=value)
+
+
 @pytest.mark.parametrize("kind", [RunConfig, LossConfig, AllocationConfig, GivenConfig])
 def test_every_number_has_a_largest_value(kind):
     for name, each in get_type_hints(kind).items():

@@ -38,12 +38,13 @@ DEEP = 0.01  # of the diagonal
 
 
 def lies_deep(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Return which points (n,3) lie deeper than DEEP diagonals in a closed mesh, by the normals of the
-    nearest of 100,000 samples."""
+    """Return which points (n,3) lie deeper than DEEP diagonals in a closed mesh, wound either way, by
+    the normals of the nearest of 100,000 samples."""
     nearest, face, _ = sample_surface(mesh.vertices, mesh.faces, 100_000, stream(0, "inside"))
     a, b, c = np.swapaxes(mesh.vertices[mesh.faces[face]], 0, 1)
     away, index = cKDTree(nearest).query(points)
-    behind = ((points - nearest[index]) * np.cross(b - a, c - a)[index]).sum(1) < 0
+    volume = np.linalg.det(mesh.vertices[mesh.faces] - mesh.centre).sum()
+    behind = np.sign(volume) * ((points - nearest[index]) * np.cross(b - a, c - a)[index]).sum(1) < 0
     return behind & (away > DEEP * mesh.diagonal)
 
 

@@ -273,7 +273,7 @@ def plot_diagram(diagrams: Any, axes: Any = None) -> Any:
     import matplotlib.pyplot as plt
 
     axes = plt.gca() if axes is None else axes
-    if not hasattr(diagrams, "__iter__"):
+    if not hasattr(diagrams, "__iter__") or not getattr(diagrams, "ndim", 1):
         raise InputError(f"a {type(diagrams).__name__} is no list; give a list of diagrams, one a dimension")
     arrays = [_bars(each) for each in diagrams]
     finite = np.concatenate([each[np.isfinite(each)] for each in arrays] + [np.zeros(1)])

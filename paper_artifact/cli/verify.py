@@ -10,8 +10,9 @@ from paper_artifact.errors import InputError
 
 
 def recorded_runs(configs: Iterable[RunConfig], results: Path) -> list[Path]:
-    """Return the paths of the runs' records. Raises InputError for a run that has none."""
-    from paper_artifact.record.store import recorded_path
+    """Return the paths of the runs' records. Raises InputError for a run that has none, and for a record that
+    cannot be read, before anything is trained."""
+    from paper_artifact.record.store import read_record, recorded_path
     from paper_artifact.scene.given import called, is_own, resolve
 
     found = []
@@ -22,6 +23,7 @@ def recorded_runs(configs: Iterable[RunConfig], results: Path) -> list[Path]:
                 f"{results / 'runs'} has no record of {called(config)} {config.condition} seed {config.seed} "
                 "with these settings to compare with; leave out --verify to train it"
             )
+        read_record(path)
         found.append(path)
     return found
 

@@ -180,7 +180,10 @@ def read_record(path: Path | str) -> dict:
     try:
         config, version = config_of(record), record["defaults"]
     except InputError as error:
-        raise fault(f"has a configuration that this code does not know ({error})", "run it again") from error
+        raise fault(
+            f"has a configuration that this code does not know ({error})",
+            "move it elsewhere and run it again",
+        ) from error
     if record["config_hash"] != config_hash(config, version):
         raise fault("was changed: its config does not match its hash")
     expected = record_path(config, version=version).name
@@ -195,7 +198,7 @@ def read_record(path: Path | str) -> dict:
     if record["digest"] != digest or digest is None:
         raise fault("was changed after it was written (digest mismatch)")
     if (place := misfit(record)) is not None:
-        raise fault(f"has no {place} as this program writes it", "run it again")
+        raise fault(f"has no {place} as this program writes it", "move it elsewhere and run it again")
     return record
 
 

@@ -13,6 +13,7 @@ from functools import cache
 from os.path import lexists
 from pathlib import Path
 
+import os
 import numpy as np
 import trimesh
 
@@ -214,6 +215,8 @@ def find_mesh(shape: str, welded: bool = True) -> Mesh:
     welded=False keeps a file's own vertices, for a certificate that counts them. Raises InputError when the
     name is none of these, or the file cannot be had.
     """
+    if not isinstance(shape, str | os.PathLike):
+        raise InputError(f"a shape is a name or a path, not {shape!r:.60}")
     if shape in SHAPES:
         return make_shape(shape)
     if shape == POT:

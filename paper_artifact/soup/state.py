@@ -26,6 +26,7 @@ from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArray
 from paper_artifact.raster.view import ViewRaster, make_camera
 from paper_artifact.scene.load import Scene
 
+MOST_SHADING = 1e8  # of features, opacity and weights: colours stay finite in float32
 SIGNATURE = "sha256"  # a file's array: the digest of its others
 
 
@@ -150,6 +151,8 @@ def load_soup(path: Path | str) -> Soup:
         raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
     if not all(torch.isfinite(tensor).all() for tensor in tensors):
         raise InputError(f"the soup {path} holds values that are not finite; train it again")
+    if max(float(tensor.abs().max()) for tensor in tensors[1:]) > MOST_SHADING:
+        raise InputError(f"the soup {path} holds colours beyond {MOST_SHADING:g}; train it again")
     record, digest = run_record(path), None
     with suppress(OSError, ValueError, KeyError, TypeError):  # without a record of it, it is what it is
         digest = load_json(record)["soup"]["sha256"] if path.parent.name == "soups" else None
