@@ -7,13 +7,13 @@ are in world units, centred at the origin.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from os.path import lexists
 from pathlib import Path
 
-import os
 import numpy as np
 import trimesh
 
