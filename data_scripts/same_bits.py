@@ -139,6 +139,12 @@ def main() -> int:
         return 0
     first: dict[str, str] | None = None
     different = False
+    if not any(given.only in name for name in RUNS):
+        parser.error(f"no run's name holds {given.only!r}; choose among {', '.join(RUNS)}")
+    if not any(given.setting in name for name in [*settings()][1:]):
+        parser.error(
+            f"no setting's name holds {given.setting!r}; choose among {', '.join([*settings()][1:])}"
+        )
     for name, variables in settings().items():
         if first is not None and given.setting not in name:
             continue

@@ -157,7 +157,10 @@ def _cached(folder: Path) -> Results:
     """Return the frames; of the study's own folders from the file that keeps them, where neither records nor
     the code have changed. A pickle can run code: none beside others' records is opened."""
     paths = sorted(Path(folder).glob("[!.]*.json"))
-    states = [(path.name, state.st_size, state.st_mtime_ns) for path in paths for state in (path.stat(),)]
+    try:
+        states = [(path.name, state.st_size, state.st_mtime_ns) for path in paths for state in (path.stat(),)]
+    except OSError as error:  # a link that leads nowhere, or removed just now
+        raise InputError(f"cannot read the record {error.filename}: {error.strerror}; remove it") from error
     code = [each.read_bytes() for each in (Path(__file__), MEASURED / "starts.csv") if each.is_file()]
     key = hashlib.sha256(repr((states, code, str(STUDIES), pd.__version__)).encode()).digest()
     kept = Path(folder).resolve().parent / ".frames" / f"{Path(folder).name}.pickle"

@@ -50,6 +50,8 @@ def main() -> None:
     extra = {name: {"type": count, "default": value} for name, value in numbers.items()}
     given = options(__doc__, against={"type": Path, "required": True, "help": "another checkout"}, **extra)
     trees = {"here": Path(__file__).resolve().parents[2], "there": given.against.resolve()}
+    if not (trees["there"] / "paper_artifact").is_dir():
+        raise SystemExit(f"{given.against} is no checkout of this repository; name another with --against")
     print(f"load before: {os.getloadavg()[0]:.1f}")
     for condition in ("C0", "C1"):
         taken: dict[str, list[dict[str, float]]] = {name: [] for name in trees}

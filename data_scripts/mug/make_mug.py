@@ -16,6 +16,9 @@ import numpy as np
 import trimesh
 from skimage.measure import marching_cubes
 
+from paper_artifact.errors import InputError
+from paper_artifact.files import write_bytes
+
 HERE = Path(__file__).parent
 WALL, BOTTOM = 0.55, 0.8  # of a cup, centimetres
 MUG = (4.0, 9.0, (3.9, 4.6, 2.7, 2.8), (1,))  # radius, height, handle, the sides (±x) that have one
@@ -89,7 +92,9 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=None)
     given = parser.parse_args()
     out = given.out or HERE.parent / given.thing / f"{given.thing}.ply"
-    out.parent.mkdir(parents=True, exist_ok=True)
     mesh = mesh_of(given.thing)
-    out.write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+    try:
+        write_bytes(out, mesh.export(file_type="ply", vertex_normal=False))
+    except InputError as error:
+        parser.error(str(error))
     print(f"{out}: {len(mesh.vertices)} vertices, {len(mesh.faces)} triangles, closed {mesh.is_watertight}")

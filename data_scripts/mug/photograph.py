@@ -16,12 +16,18 @@ import argparse
 import json
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import trimesh
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
+
+try:
+    import mitsuba as mi
+except ImportError as error:
+    raise SystemExit(
+        f"photograph.py needs mitsuba ({error}); its first lines say how to install it"
+    ) from None
 
 HERE = Path(__file__).parent
 WIDTH, HEIGHT = 600, 450  # of a photograph, pixels
