@@ -144,6 +144,9 @@ def test_export_leaves_a_file_alone_that_it_did_not_write(soup_file, tmp_path, c
     shutil.copy(soup_file, other)
     said = command(f"export {other} --formats ply --out {tmp_path}/new", code=1).err
     assert "was not written by this command" in said  # but from another soup of this name
+    command(f"export {other} --formats ply --out {tmp_path}/other/new")
+    moved = other.parent.rename(tmp_path / "moved")
+    command(f"export {moved / other.name} --formats ply --out {moved}/new")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from PIL import Image
 from paper_artifact.errors import InputError
 from paper_artifact.files import LARGEST, inside, load_npz, write_npz
 from paper_artifact.mesh import load_mesh
-from paper_artifact.photos.pictures import photographs_in, unread
+from paper_artifact.photos.pictures import photographs_in, prepared, unread
 from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
 from paper_artifact.scene.images import MOST_PIXELS, read_pixels
@@ -47,6 +47,15 @@ def test_pictures_whose_end_is_zeros_were_cut(tmp_path, kind, refused):
     if refused:
         with pytest.raises(InputError, match=f"a.{kind} is damaged"):
             read_pixels(file, 1.0)
+
+
+def test_photographs_that_are_nowhere_opaque_are_named(tmp_path):
+    for name in ("a.png", "b.png"):
+        Image.new("RGBA", (40, 30), (9, 90, 200, 200 if name == "a.png" else 255)).save(tmp_path / name)
+    with pytest.raises(InputError, match="a.png is nowhere opaque, alpha is at most 200 of 255$"):
+        prepared(
+            {"a": tmp_path / "a.png", "b": tmp_path / "b.png"}, tmp_path / "p", tmp_path / "m", 64, False
+        )
 
 
 def test_photographs_behind_lost_links_are_told_and_long_names_refused(tmp_path):

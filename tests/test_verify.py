@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from paper_artifact.cli import main
+from paper_artifact.config import RunConfig
 from paper_artifact.record.store import (
     _hash,
     config_of,
@@ -16,6 +17,8 @@ from paper_artifact.record.store import (
     recorded_path,
     write_record,
 )
+from paper_artifact.scene.given import resolve
+from paper_artifact.study import sweep
 from paper_artifact.study.studies import study_configs
 from tests.tiny_run import tiny_arguments
 
@@ -117,3 +120,25 @@ def test_sweep_verify_counts_and_names_what_differs(tmp_path, capsys, monkeypatc
     assert "sphere-C1-s0" in said and "same bits" in said and "radius is 9.0" in said
     assert "the record was made with paper_artifact 0.2.0, now" in said.replace("numpy", "")
     assert "2 runs compared, 2 have no record" in said
+
+
+@pytest.mark.parametrize("when", ["before the run", "while it runs"])
+def test_a_mesh_saved_anew_during_a_sweep_ends_its_runs(tmp_path, monkeypatch, when):
+    """Else seeds of one sweep would be of two shapes."""
+    mesh = tmp_path / "own.obj"
+    tetrahedron = "v {0} 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    mesh.write_text(tetrahedron.format(0))
+    config = RunConfig(str(mesh))
+    own = {config: resolve(config).config}
+    begun = []
+
+    def start(*_):
+        begun.append(mesh.write_text(tetrahedron.format(-1)))
+
+    monkeypatch.setattr(sweep, "start_run", start)
+    monkeypatch.setattr(sweep, "failure_of", lambda child, stepped: None)
+    if when == "before the run":
+        mesh.write_text(tetrahedron.format(-1))
+    (outcome,) = sweep.run_all([config], tmp_path, "cpu", 1, own=own)
+    assert "own.obj was saved anew while the sweep ran" in outcome.failure
+    assert len(begun) == (when == "while it runs")

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from paper_artifact.errors import InputError
 from paper_artifact.scene.folder import DESCRIPTION, SMALLER_IMAGES, UNDISTORTED
-from paper_artifact.scene.images import has_transparency, is_blank, opened, sizes_told
+from paper_artifact.scene.images import LIGHT, has_transparency, is_blank, opened, sizes_told
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".mpg", ".mpeg", ".wmv")
 FRAMES = 60  # of a video that are taken about, unless it is said how many
@@ -253,6 +253,8 @@ def prepared(
         if turned:
             picture, x, y = picture.transpose(Image.Transpose.ROTATE_90), y, -x  # counter-clockwise
         if picture.mode == "RGBA" and picture.getchannel("A").getextrema() != (255, 255):
+            if 0 < (most := np.asarray(picture.getchannel("A")).max()) < LIGHT:
+                faults.append(f"{photographs[name]} is nowhere opaque, alpha is at most {most} of 255")
             picture.getchannel("A").save(masks / f"{target.name}.png")
             ready.masked.add(target.name)
         picture = picture.convert("RGB")

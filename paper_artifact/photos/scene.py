@@ -87,8 +87,13 @@ def photographs_scene(
     if holds(folder, key):
         try:
             held = load_json(folder / DESCRIPTION)["photographs"]
+            exposures, numbers = held["exposures"].values(), (held["points"], held["error"], held["track"])
+            if not all(isinstance(each, int | float) and each >= 0 for each in (*exposures, *numbers)):
+                raise ValueError("numbers that are none")
+            if config.even and not (exposures and all(exposures)):
+                raise ValueError("exposures that are none")
             return Registered(folder, folder, **{**held, "names": tuple(held["names"])})
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise InputError(
                 f"{folder / DESCRIPTION} is damaged ({error}); remove the scene's folder and build it again"
             ) from error

@@ -14,13 +14,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from statistics import mean
+from types import MappingProxyType
 from typing import Any
 
 from paper_artifact.config import RunConfig, config_from, config_values
@@ -32,6 +33,7 @@ from paper_artifact.scene.shapes import find_mesh
 
 SIGN = "step "  # begins a line on a run's stderr that says how far it is; all others are its complaints
 EVERY = 5.0  # seconds between two such lines
+CHANGED = "{} was saved anew while the sweep ran; run the sweep again"
 
 
 @dataclass(frozen=True)
@@ -164,12 +166,18 @@ def remote_run(values: dict, device: str) -> tuple[float, dict]:
 
 
 def run_all(
-    todo: list[RunConfig], results: Path, device: str, workers: int, client: Any = None
+    todo: list[RunConfig],
+    results: Path,
+    device: str,
+    workers: int,
+    client: Any = None,
+    own: Mapping[RunConfig, RunConfig] = MappingProxyType({}),
 ) -> Generator[Outcome | Step, None, None]:
     """Yield outcomes as runs end; of local processes, at most `workers` at once, also steps meanwhile.
 
     client: of a Dask cluster, which runs them; records come back to this machine, soups do not. Runs of a
-    worker that dies are given to another one; a run that fails is not tried again.
+    worker that dies are given to another one; a run that fails is not tried again. own: what those of one's
+    own data were when the sweep began (`resolve`); of others, saved meanwhile, no run is begun or counted.
     """
     events: SimpleQueue[Step | Future] = SimpleQueue()
     children: set[subprocess.Popen] = set()
@@ -177,6 +185,8 @@ def run_all(
 
     def local_run(config: RunConfig) -> tuple[float, None]:
         begin = time.perf_counter()
+        if config in own and resolve(config).config != own[config]:
+            raise RuntimeError(CHANGED.format(config.shape))
         with lock:  # no child may start unseen while the others are being stopped
             if stopping.is_set():
                 raise RuntimeError("not started: the sweep was stopped")
@@ -209,6 +219,8 @@ def run_all(
                 seconds, record = event.result()
                 if record is not None:
                     write_record(record, results / "runs")
+                if config in own and recorded_path(own[config], results / "runs") is None:
+                    raise RuntimeError(CHANGED.format(config.shape))
             except Exception as error:  # whatever happened there is this run's failure, not the sweep's
                 failure = (str(error).strip() or type(error).__name__).splitlines()[0]
             del event  # Dask makes a run again whose worker dies while somebody holds its future
@@ -254,6 +266,7 @@ def sweep(
     for shape in dict.fromkeys(config.shape for config in configs if not is_own(config)):
         find_mesh(shape)  # a mesh that is not available is named before any run starts
     todo = missing(configs, results)
+    own = {config: resolve(config).config for config in todo if is_own(config)}
     outcomes: list[Outcome] = []
     with connect(scheduler) if scheduler and todo else nullcontext() as client:
         if client is not None:
@@ -264,7 +277,7 @@ def sweep(
                 )
         estimate = Estimate(todo, workers)
         report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
-        with closing(run_all(todo, results, device, workers, client)) as running:
+        with closing(run_all(todo, results, device, workers, client, own)) as running:
             for event in running:
                 if isinstance(event, Step):
                     estimate.stepped(event)
