@@ -88,3 +88,5 @@ if __name__ == "__main__":
             print(shutil.copy(made_and_tried(Path(made)), folder))
     except KeyboardInterrupt:
         sys.exit("alpha_wheel.py: interrupted; no wheel was made")
+    except (OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"alpha_wheel.py: {error}; no wheel was made")

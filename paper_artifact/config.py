@@ -11,6 +11,7 @@ import ast
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from numbers import Integral, Real
 from types import NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -18,10 +19,10 @@ from paper_artifact.errors import InputError, real
 
 # Raise this when the default of a field changes (a new field changes none), and note below what it was.
 DEFAULTS_VERSION = 1
-# What defaults were in older versions, {version: {"steps": 2500, "loss.rho": 0.1}}, so that records of those
-# versions keep their names.
+# What defaults were, {version: {"steps": 2500, "loss.rho": 0.1}}: records of old versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
+KINDS = {bool: bool, str: str, int: Integral, float: Real}  # what a field takes, by its default's
 DEVICES = ("cpu", "cuda", "auto")  # of training
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 STEPS_OF_THE_STUDY = 2500
@@ -48,19 +49,18 @@ def limits(about: Mapping[str, Any]) -> str:
 
 
 def _check_ranges(config: Any) -> None:
-    """Raise InputError for a field of the dataclass that is outside the range of its metadata."""
+    """Raise InputError for a field of another kind than its default, or outside its metadata's range."""
     for each in fields(config):
         about, value = each.metadata, getattr(config, each.name)
         if "choices" in about and value not in about["choices"]:
             raise InputError(f"unknown {each.name} {value!r}; choose one of {', '.join(about['choices'])}")
-        try:
-            inside = not limits(about) or (
-                about.get("above", -math.inf) < value < about.get("below", math.inf)
-                and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
-            )
-        except TypeError as error:
-            raise InputError(f"{each.name} takes a number, got {_brief(value)}") from error
-        if not inside:
+        fits = isinstance(value, KINDS.get(kind := type(each.default), object))
+        if not fits or (kind in KINDS and isinstance(value, bool) != (kind is bool)):
+            raise InputError(f"{each.name} takes a value of kind {kind.__name__}, got {_brief(value)}")
+        if limits(about) and not (
+            about.get("above", -math.inf) < value < about.get("below", math.inf)
+            and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
+        ):
             unit = f" {about['unit']}" if "unit" in about else ""
             raise InputError(f"{each.name} must be {limits(about)}{unit}, got {_brief(value)}")
 

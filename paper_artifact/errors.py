@@ -7,6 +7,7 @@ import operator
 import os
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,16 @@ def require_memory(size: float, what: str, advice: str) -> None:
         raise InputError(
             f"{what} takes at least {size / 2**30:.3g} GiB of memory, {available / 2**30:.3g} GiB are "
             f"available; {advice}"
+        )
+
+
+def require_disk(size: int, folder: Path) -> None:
+    """Raise InputError when the disk of a folder has less than `size` bytes left, since C libraries that fill
+    it end the process."""
+    if (free := shutil.disk_usage(folder).free) < size:
+        raise InputError(
+            f"the disk of {folder.parent} has {free / 2**20:.3g} MiB left, this may take {size / 2**20:.3g}; "
+            "free some space, or choose another folder"
         )
 
 

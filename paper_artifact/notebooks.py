@@ -143,6 +143,8 @@ def execute(
     bar = False if quiet else {"desc": path.stem, "leave": False, "position": 1}
     start, failure = time.monotonic(), ""
     try:
+        if not path.is_file():
+            raise OSError("it is no file")
         before = path.read_bytes()
         with figures_of(path, figures), renewed_folder(executed, _part(path, path.name), [path.name]) as new:
             try:

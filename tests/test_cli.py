@@ -294,10 +294,15 @@ def imports(argv, asked):
     importlib.import_module("swallows")
     for _ in range(500):
         time.sleep(0.01)
-    return 0
 
 
-@pytest.mark.parametrize("work", (raises_another, imports))
+def calls_back(argv, asked):
+    exec(SWALLOWS, {"__name__": "llvmlite.binding"})
+    for _ in range(500):
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("work", (raises_another, imports, calls_back))
 def test_an_interrupt_that_a_library_swallows_or_turns_into_another_error_is_one(
     work, monkeypatch, capsys, tmp_path
 ):

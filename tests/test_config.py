@@ -82,9 +82,9 @@ def test_a_configuration_out_of_range_is_refused(changes, words):
         study_config("sphere", **({"condition": "C1"} | changes))
 
 
-@pytest.mark.parametrize("value", ["100", [1], None])
-def test_what_is_no_number_is_refused_by_name(value):
-    with pytest.raises(InputError, match="steps takes a number, got"):
+@pytest.mark.parametrize("value", ["100", [1], None, 20.5, True])
+def test_a_value_of_another_kind_is_refused_by_name(value):
+    with pytest.raises(InputError, match="steps takes a value of kind int, got"):
         RunConfig("sphere", steps=value)
 
 

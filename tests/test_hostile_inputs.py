@@ -63,7 +63,7 @@ def test_photographs_behind_lost_links_are_told_and_long_names_refused(tmp_path)
         (tmp_path / name).touch()
     (tmp_path / "d.jpg").symlink_to(tmp_path / "gone.jpg")
     assert set(photographs_in(tmp_path)) == {"a", "b", "c"}
-    assert unread(tmp_path) == ["left out, as links that lead nowhere: d.jpg; fetch what they point to"]
+    assert unread(tmp_path) == ["left out, as links that lead nowhere: d.jpg; see to them"]
     (tmp_path / "c.jpg").unlink()
     with pytest.raises(InputError, match="has 2 photographs .* lead nowhere: d.jpg"):
         photographs_in(tmp_path)

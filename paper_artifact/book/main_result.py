@@ -31,7 +31,7 @@ def main_runs(tables: results.Results) -> pd.DataFrame:
 def main_frame(runs: pd.DataFrame) -> pd.DataFrame:
     """Return one row per shape: judged dimension, mean tail (radius / D) of each arm, C0 / C1, the paper's
     C0 / C1, Chamfer of C1 over C0's, and the verdict."""
-    means = arms(runs)["mean"].unstack("condition")
+    means = arms(runs)["mean"].unstack("condition").reindex(columns=[*ARMS])  # an arm may have no run
     paper = results.published(*PAPER, quantity="tail_bottleneck")
     paper = paper[(paper["condition"] == LOSS) & paper["seed"].isna()].set_index("shape")["ratio"]
     judged = verdicts(runs)

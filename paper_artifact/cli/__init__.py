@@ -91,8 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         interrupted.append(number)
-        if _importing(frame):  # libraries swallow what is raised in their imports: a moment later
-            signal.setitimer(signal.ITIMER_REAL, 0.05)
+        if _may_be_lost(frame):  # a moment later
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
         else:
             raise KeyboardInterrupt
 
@@ -125,11 +125,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             signal.signal(signal.SIGINT, before)
 
 
-def _importing(frame: FrameType | None) -> bool:
-    """Return whether the frame, or one that called it, imports a module."""
-    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+def _may_be_lost(frame: FrameType | None) -> bool:
+    """Return whether libraries may swallow what is raised in the frame: it, or one that called it, imports a
+    module, is llvmlite's (which C calls back) or a __del__."""
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if name.startswith(("importlib._bootstrap", "llvmlite")) or frame.f_code.co_name == "__del__":
+            return True
         frame = frame.f_back
-    return frame is not None
+    return False
 
 
 def _run(argv: list[str], asked: str | None) -> int:

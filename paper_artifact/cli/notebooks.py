@@ -122,8 +122,6 @@ def book(options: Book) -> int:
         raise WrongUsage(
             f"--runs {options.runs} is no folder that can be read; give the folder of the records"
         )
-    if options.refresh:
-        write_text(PICTURE, picture_svg(main_runs(results.load())))
     with bar(total=PARTS, desc="book", unit="part", disable=options.quiet) as line:
 
         def report(part: str) -> None:
@@ -131,6 +129,8 @@ def book(options: Book) -> int:
             line.update()
 
         found = build(options.out, options.notebooks, options.executed, options.runs, report)
+    if options.refresh:
+        write_text(PICTURE, picture_svg(main_runs(results.load(folder=PICTURE.parent / "runs"))))
     for item in found:
         print(f"{item.name:<9} {item.word} ({item.tally})")
     print(f"book: {options.out / 'index.html'}")

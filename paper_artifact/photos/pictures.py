@@ -106,7 +106,7 @@ def _derived(folder: Path, file: Path) -> list[str]:
 
 
 def unread(folder: Path) -> list[str]:
-    """Return what is left out of a folder of photographs, a sentence for kinds, sub-folders, links."""
+    """Return what is left out of a folder of photographs, a sentence for each reason."""
     endings = Counter(each.suffix.lower() for each in _files(folder))
     found = [ending for ending in (*UNREAD, *VIDEOS) if endings[ending]]
     count = sum(endings[ending] for ending in found)
@@ -114,10 +114,12 @@ def unread(folder: Path) -> list[str]:
     copies = {part for each in folder.rglob("*.*") for part in _derived(folder, each)}
     if copies:
         told.append(f"left out as copies or masks: {', '.join(sorted(copies))}; give such a folder by itself")
-    lost = [each.name for each in folder.rglob("*") if each.is_symlink() and not each.exists()]
-    if lost:
-        shown = ", ".join(sorted(lost)[:4]) + " …" * (len(lost) > 4)
-        told.append(f"left out, as links that lead nowhere: {shown}; fetch what they point to")
+    seen = [each for each in sorted(folder.rglob("*")) if not each.name.startswith(".")]
+    lost = [each.name for each in seen if each.suffix.lower() in ENDINGS and not os.path.exists(each)]
+    closed = [each.name for each in seen if each.is_dir() and not os.access(each, os.R_OK | os.X_OK)]
+    for names, what in ((lost, "links that lead nowhere"), (closed, "folders that may not be read")):
+        if names:
+            told.append(f"left out, as {what}: {', '.join(names[:4])}{' …' * (len(names) > 4)}; see to them")
     return told
 
 

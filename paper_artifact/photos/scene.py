@@ -17,9 +17,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from paper_artifact import __version__
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_disk
 from paper_artifact.files import file_digest, load_json, write_json
 from paper_artifact.photos.pictures import (
+    FRAMES,
     LEVEL,
     QUALITY,
     VIDEOS,
@@ -39,6 +40,7 @@ from paper_artifact.scene.load import AUTO
 FORMAT = 4  # raised whenever the same photographs would give another scene
 LARGEST_ERROR = 1.5  # pixels of reprojection above which a model is doubtful
 FEWEST_POINTS = 300  # of the cloud, below which a model is doubtful
+PER_PHOTOGRAPH = 4 * 2**20  # bytes that pictures, features and matches of one take while it is registered
 CROPPED_ALONE = 0.9  # a picture that would be scaled by more than this is cropped only, which blurs nothing
 
 
@@ -99,6 +101,7 @@ def photographs_scene(
             ) from error
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
+        require_disk(PER_PHOTOGRAPH * (FRAMES if video else len(photographs)), temporary)
         (work := temporary / "work").mkdir()
         log_to(work / "log")
         if video:

@@ -176,12 +176,9 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     folder = Path(folder)
     key = scene_key(mesh, config)
     if holds(folder, key):
-        if (
-            len(list((folder / "images").glob("*.png"))) < config.views
-            or not (folder / GROUND_TRUTH).is_file()
-        ):
+        if not (folder / GROUND_TRUTH).is_file():
             raise InputError(
-                f"the scene in {folder} has lost some of its files; remove the folder to build it again"
+                f"the scene in {folder} has lost {GROUND_TRUTH}; remove the folder to build it again"
             )
         return folder
     farthest = float(arithmetic.norm(mesh.centre)) + CAMERA_DISTANCE * mesh.radius

@@ -190,7 +190,7 @@ def _sha256_of(data: bytes) -> str:
 def holds(folder: Path, key: str) -> bool:
     """Return whether `folder` holds the scene with this key; False where it is missing or empty.
 
-    Raises InputError when it holds anything else, which is never overwritten.
+    Raises InputError when it holds anything else, which is never overwritten, or has lost images.
     """
     clear_partials(folder)
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
@@ -203,6 +203,11 @@ def holds(folder: Path, key: str) -> bool:
         raise InputError(
             f"{folder} holds a scene of other images, or of another mesh or configuration; "
             "choose another folder or remove it"
+        )
+    names = [pose.name for pose in read_model(model_folder(folder)).images.values()]
+    if not all((folder / "images" / name).is_file() for name in names):
+        raise InputError(
+            f"the scene in {folder} has lost some of its files; remove the folder to build it again"
         )
     return True
 

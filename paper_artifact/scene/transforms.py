@@ -56,6 +56,7 @@ UNREAD = {  # of instant-ngp and its kin, where they are there and not false: wh
         "make these pixels transparent in the images instead",
     ),
     "fix_premult": "divide the images' colours by their alpha instead",
+    "enable_ray_loading": "its images have rays of their own; make those of pinhole cameras of them",
     **dict.fromkeys(
         ("normal_mts_args", "from_mitsuba", "from_na"), "turn its poses into OpenGL's and take the key out"
     ),
