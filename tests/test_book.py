@@ -3,6 +3,7 @@ script in it, and the README's picture shows today's records."""
 
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -141,6 +142,15 @@ def test_an_empty_folder_of_records_makes_a_book_that_says_so(tmp_path):
     found = build(tmp_path / "book", executed=NOWHERE, runs=tmp_path / "runs")
     assert {each.word for each in found} == {"not recorded"}
     assert "There are no records in this folder" in (tmp_path / "book" / "index.html").read_text()
+
+
+def test_records_without_one_of_the_arms_make_a_book(tmp_path):
+    (tmp_path / "runs").mkdir()
+    path = next((REPOSITORY / "results" / "runs").glob("sphere-C0-s0-*.json"))
+    shutil.copy(path, tmp_path / "runs")
+    build(tmp_path / "book", executed=NOWHERE, runs=tmp_path / "runs")
+    index = (tmp_path / "book" / "index.html").read_text()
+    assert "<th>sphere</th>" in index and "nan" not in index
 
 
 def test_words_and_tallies():

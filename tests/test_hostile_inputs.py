@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from paper_artifact.errors import InputError
+from paper_artifact.errors import InputError, require_disk
 from paper_artifact.files import LARGEST, inside, load_npz, write_npz
 from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.pictures import photographs_in, prepared, unread
@@ -47,6 +47,11 @@ def test_pictures_whose_end_is_zeros_were_cut(tmp_path, kind, refused):
     if refused:
         with pytest.raises(InputError, match=f"a.{kind} is damaged"):
             read_pixels(file, 1.0)
+
+
+def test_a_disk_that_photographs_would_fill_is_said_before(tmp_path):
+    with pytest.raises(InputError, match=r"MiB left, this may take 1.1e.12; free some space"):
+        require_disk(2**60, tmp_path)
 
 
 def test_photographs_that_are_nowhere_opaque_are_named(tmp_path):

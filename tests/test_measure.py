@@ -1,6 +1,7 @@
 """The measurements of data_scripts/measure on tiny cases: what they report, never how long it took."""
 
 import importlib
+import subprocess
 import sys
 import threading
 import types
@@ -187,6 +188,25 @@ def test_gpu_memory_is_read_while_the_run_goes_on(scripts, monkeypatch):
     monkeypatch.setattr(scripts.gpu, "INTERVAL", 0.001)
     row = scripts.gpu.peak_during(lambda: 7.0 if asked.wait(60) else 0.0, read)
     assert row == {"allocated": 7.0, "before": 100, "peak": 400}
+
+
+@pytest.mark.parametrize(
+    "script, words",
+    [
+        ("same_bits.py --only spere", "no run's name holds 'spere'; choose among C1"),
+        ("same_bits.py --setting nonsense", "no setting's name holds 'nonsense'"),
+        ("mug/make_mug.py --out {file}/x.ply", "cannot write"),
+        ("measure/against.py --against {file}", "is no checkout of this repository"),
+        ("measure/windows.py --out {file}/x", "cannot write"),
+        ("alpha_wheel.py {file}", "File exists"),
+    ],
+)
+def test_scripts_refuse_before_they_work(script, words, tmp_path):
+    (file := tmp_path / "file").write_text("mine")
+    command = [sys.executable, *script.format(file=file).split()]
+    ended = subprocess.run(command, cwd=REPOSITORY / "data_scripts", capture_output=True, text=True)
+    assert ended.returncode and words in ended.stderr and "Traceback" not in ended.stderr
+    assert file.read_text() == "mine"
 
 
 def test_an_interrupted_script_says_so(scripts, capsys):

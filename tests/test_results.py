@@ -106,6 +106,12 @@ def test_bars_that_are_no_pairs_are_a_sentence(tmp_path):
             results.load(folder=tmp_path)
 
 
+def test_a_link_that_leads_nowhere_is_a_sentence(tmp_path):
+    (tmp_path / "a.json").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="cannot read the record .*a.json: No such file"):
+        results.load(folder=tmp_path)
+
+
 def test_a_pickle_beside_records_of_others_is_not_opened(tmp_path, monkeypatch):
     write_baseline(tmp_path / "runs", "sphere", 0)
     monkeypatch.setattr(results, "RESULTS", tmp_path)

@@ -132,6 +132,8 @@ def test_a_file_that_is_no_notebook_is_named(tmp_path):
     (tmp_path / "01_noise.ipynb").write_text("{ not json")
     outcome = executed(tmp_path / "01_noise.ipynb")
     assert outcome.name == "01_noise" and outcome.error and "\n" not in outcome.error
+    os.mkfifo(tmp_path / "02_pipe.ipynb")
+    assert "it is no file" in executed(tmp_path / "02_pipe.ipynb").error
 
 
 def test_choice_of_notebooks(tmp_path):

@@ -93,6 +93,10 @@ def test_it_is_built_once_and_by_the_command_line(folder, tmp_path, capsys):
     assert (tmp_path / "s" / "images" / "00000.png").stat().st_mtime_ns == written
     assert "nothing ran: this scene is there already" in capsys.readouterr().out
     assert main([*words, "--views", "8"]) == 1 and "holds a scene of other images" in capsys.readouterr().err
+    (tmp_path / "s" / "images" / "00003.png").unlink()
+    assert (
+        main([*words, "--views", "7", "--points", "60"]) == 1 and "has lost some" in capsys.readouterr().err
+    )
     assert main([*words, "--supersample", "2"]) == 2 and "no meaning for images" in capsys.readouterr().err
     assert main(["scene", "--shape", "torus", "--cloud", "hull", "--out", str(tmp_path / "t")]) == 2
 
