@@ -16,10 +16,11 @@ from paper_artifact import results
 from paper_artifact.book import build as module
 from paper_artifact.book.build import MENU, Pages, build, csv_text, items, read_chapter, write_figures
 from paper_artifact.book.main_result import PICTURE, main_runs, numbers, picture_numbers
-from paper_artifact.catalogue import shapes_of
+from paper_artifact.catalogue import shapes_of, study_config
 from paper_artifact.claims import COLUMNS, FOLDER, read_claims
 from paper_artifact.files import REPOSITORY
 from paper_artifact.notebooks import NOTEBOOKS
+from paper_artifact.record.store import record_path
 from paper_artifact.scene.shapes import make_shape
 
 NOWHERE = Path("/nowhere")
@@ -146,8 +147,9 @@ def test_an_empty_folder_of_records_makes_a_book_that_says_so(tmp_path):
 
 def test_records_without_one_of_the_arms_make_a_book(tmp_path):
     (tmp_path / "runs").mkdir()
-    path = next((REPOSITORY / "results" / "runs").glob("sphere-C0-s0-*.json"))
-    shutil.copy(path, tmp_path / "runs")
+    shutil.copy(
+        record_path(study_config("sphere", "C0", 0), REPOSITORY / "results" / "runs"), tmp_path / "runs"
+    )
     build(tmp_path / "book", executed=NOWHERE, runs=tmp_path / "runs")
     index = (tmp_path / "book" / "index.html").read_text()
     assert "<th>sphere</th>" in index and "nan" not in index
@@ -196,6 +198,8 @@ def test_svg_pictures_of_run_all_come_before_those_in_the_notebooks(tmp_path):
     assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.png"}
     assert (tmp_path / "f" / "01_one_key.png").read_bytes() == b"hallo"
     (tmp_path / "01_one_key.svg").write_text("<svg/>")
+    assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.png"}, "of an older code"
+    chapter = read_chapter(path, path)
     assert write_figures(chapter, tmp_path / "f", tmp_path) == {(1, 0): "01_one_key.svg"}
 
 

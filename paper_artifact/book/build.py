@@ -255,8 +255,8 @@ def _failed(notebook: NotebookNode) -> bool:
 
 
 def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tuple[int, int], str]:
-    """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless `run-all` left an SVG of that
-    name in `drawn_before`; return {(cell, output): file name}. Without a key for each picture, cell and place
+    """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless its executed copy is shown and
+    `run-all` left an SVG of that name in `drawn_before`; return {(cell, output): file name}. Without a key for each picture, cell and place
     name it."""
     names: dict[tuple[int, int], str] = {}
     for number, cell in enumerate(chapter.notebook.cells):
@@ -266,7 +266,7 @@ def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tu
             keys = [f"cell{number}_{place}" for place in range(len(drawn))]
         for key, place in zip(keys, drawn, strict=True):
             name = f"{chapter.name}_{key}.svg"
-            if not (drawn_before / name).is_file():
+            if not (chapter.executed and (drawn_before / name).is_file()):
                 name = f"{chapter.name}_{key}.png"
                 write_bytes(folder / name, base64.b64decode(cell.outputs[place]["data"]["image/png"]))
             names[number, place] = name
