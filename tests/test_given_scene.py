@@ -161,12 +161,14 @@ def test_words_and_targets(photographs, tmp_path, train, command):
     record, _ = train(photographs, tmp_path, f"--condition=C1 --target={bundle}")
     assert record["bundle"]["samples"] == 512 and record["config"]["loss"]["samples"] == 512
     assert record["config"]["loss"]["dimensions"] == [2] and "mesh" not in record
+    line = f"train --scene {photographs} {CPU} --condition=C1"
+    said = command(f"{line} --target={bundle} --loss=samples=64", code=1).err
+    assert f"samples is 512 in {bundle}; leave out --loss samples" in said
     assert [event["event"] for event in record["topology"]].count("lambda") == 1
     record, _ = train(photographs, tmp_path, f"--condition=C2 --target={ball} --loss=samples=512")
     assert record["mesh"]["name"] == "ball" and record["tails"]["chamfer"] > 0
     assert str(ball) not in json.dumps(record)
-    said = command(f"train --scene {photographs} {CPU} --condition=C1", code=1).err
-    assert "which photographs do not bring: give --target" in said
+    assert "which photographs do not bring: give --target" in command(line, code=1).err
     given = resolve(study_config(str(photographs)))
     big = build_from_mesh(9 * sphere.vertices, sphere.faces, 512, dimensions=(2,))
     (_, scale) = OwnScene(replace(given, bundle=big)).remarks(load_scene(given.folder))

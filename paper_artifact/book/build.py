@@ -255,9 +255,9 @@ def _failed(notebook: NotebookNode) -> bool:
 
 
 def write_figures(chapter: Chapter, folder: Path, drawn_before: Path) -> dict[tuple[int, int], str]:
-    """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless its executed copy is shown and
-    `run-all` left an SVG of that name in `drawn_before`; return {(cell, output): file name}. Without a key for each picture, cell and place
-    name it."""
+    """Write the notebook's pictures to `folder` as <notebook>_<key>.png, unless its executed copy is shown
+    and `run-all` left an SVG of that name in `drawn_before`; return {(cell, output): file name}. Without a
+    key for each picture, cell and place name it."""
     names: dict[tuple[int, int], str] = {}
     for number, cell in enumerate(chapter.notebook.cells):
         drawn = [n for n, each in enumerate(cell.get("outputs", [])) if "image/png" in each.get("data", {})]

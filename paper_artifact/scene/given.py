@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from paper_artifact.config import NOISES, GivenConfig, RunConfig
+from paper_artifact.config import NOISES, GivenConfig, LossConfig, RunConfig
 from paper_artifact.errors import InputError
 from paper_artifact.files import file_digest
 from paper_artifact.mesh import Mesh, mesh_hash
@@ -94,9 +94,15 @@ def _scene(config: RunConfig) -> Given:
         if config.allocation is not None:
             raise InputError(f"condition {config.condition} needs a mesh as --target, not a bundle")
         if loss is not None and loss.kind in NEEDS_TARGET:
-            loss = replace(
-                loss, samples=bundle.samples, dimensions=bundle.dimensions, bundle_seed=bundle.seed
-            )
+            its: dict[str, Any] = {"samples": bundle.samples, "dimensions": bundle.dimensions}
+            its |= {"bundle_seed": bundle.seed}
+            for setting, value in its.items():
+                if getattr(loss, setting) not in (value, getattr(LossConfig(), setting)):
+                    raise InputError(
+                        f"{setting} is {value} in {given.target}; leave out --loss {setting}, or give "
+                        "a mesh as --target"
+                    )
+            loss = replace(loss, **its)
     else:
         mesh, bundle = find_mesh(given.target), None
         target = mesh_hash(mesh)
