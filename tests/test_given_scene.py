@@ -162,8 +162,7 @@ def test_words_and_targets(photographs, tmp_path, train, command):
     assert record["bundle"]["samples"] == 512 and record["config"]["loss"]["samples"] == 512
     assert record["config"]["loss"]["dimensions"] == [2] and "mesh" not in record
     line = f"train --scene {photographs} {CPU} --condition=C1"
-    said = command(f"{line} --target={bundle} --loss=samples=64", code=1).err
-    assert f"samples is 512 in {bundle}; leave out --loss samples" in said
+    assert "samples is 512 in" in command(f"{line} --target={bundle} --loss=samples=64", code=1).err
     assert [event["event"] for event in record["topology"]].count("lambda") == 1
     record, _ = train(photographs, tmp_path, f"--condition=C2 --target={ball} --loss=samples=512")
     assert record["mesh"]["name"] == "ball" and record["tails"]["chamfer"] > 0
