@@ -66,14 +66,16 @@ def made_and_tried(folder: Path) -> Path:
     (source.parent / "pyproject.toml").write_text(PROJECT.format(version=version), encoding="utf-8")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source.parent]
-    subprocess.run(build, check=True)
+    subprocess.run(build, check=True, start_new_session=True)  # Ctrl-C is this script's
     (wheel,) = folder.glob("*.whl")
     venv.create(folder / "empty", with_pip=True)
     python = folder / "empty" / "bin" / "python"
     pins = re.findall(
         r"- ((?:numpy|scipy|numba|llvmlite)==\S+)", (ROOT / "environment.yml").read_text(encoding="utf-8")
     )
-    subprocess.run([python, "-m", "pip", "--quiet", "install", wheel, *pins], check=True)
+    subprocess.run(
+        [python, "-m", "pip", "--quiet", "install", wheel, *pins], check=True, start_new_session=True
+    )
     subprocess.run([python, "-I", "-c", PROGRAM], check=True, cwd=folder)  # -I: without PYTHONPATH
     return wheel
 

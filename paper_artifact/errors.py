@@ -111,7 +111,7 @@ def require_disk(size: int, folder: Path) -> None:
     it end the process."""
     if (free := shutil.disk_usage(folder).free) < size:
         raise InputError(
-            f"the disk of {folder.parent} has {free / 2**20:.3g} MiB left, this may take {size / 2**20:.3g}; "
+            f"the disk of {folder} has {free / 2**20:.3g} MiB left, this may take {size / 2**20:.3g}; "
             "free some space, or choose another folder"
         )
 

@@ -101,7 +101,7 @@ def photographs_scene(
             ) from error
     colmap = need_pycolmap()
     with whole_folder(folder, key) as temporary:
-        require_disk(PER_PHOTOGRAPH * (FRAMES if video else len(photographs)), temporary)
+        require_disk(PER_PHOTOGRAPH * (FRAMES if video else len(photographs)), folder.absolute().parent)
         (work := temporary / "work").mkdir()
         log_to(work / "log")
         if video:
