@@ -97,10 +97,11 @@ def own_kernel() -> Iterator[str]:
                 os.environ["JUPYTER_PATH"] = before
 
 
-def _part(path: Path, name: str) -> str:
-    """Return `name`, by which what a notebook makes is listed, with the folder of one that is not ours."""
+def _part(path: Path, name: str, made: Path) -> str:
+    """Return `name`, by which what a notebook makes is listed in the folder `made`; of one that is not ours
+    with its folder from there, which stays where both are moved."""
     folder = path.resolve().parent
-    return name if folder == NOTEBOOKS.resolve() else f"{name} in {folder}"
+    return name if folder == NOTEBOOKS.resolve() else f"{name} in {os.path.relpath(folder, made.resolve())}"
 
 
 @contextmanager
@@ -110,7 +111,7 @@ def figures_of(path: Path, folder: Path) -> Iterator[None]:
     that no execution wrote."""
     known = {name for names in listed(folder).values() for name in names}
     mine = [each.name for each in folder.glob(f"{escape(path.stem)}_*.svg")]
-    with renewed_folder(folder, _part(path, path.stem), {*mine} - known) as new:
+    with renewed_folder(folder, _part(path, path.stem, folder), {*mine} - known) as new:
         os.environ[FIGURES_VARIABLE] = str(new.absolute() / path.stem)
         try:
             yield
@@ -146,7 +147,10 @@ def execute(
         if not path.is_file():
             raise OSError("it is no file")
         before = path.read_bytes()
-        with figures_of(path, figures), renewed_folder(executed, _part(path, path.name), [path.name]) as new:
+        with (
+            figures_of(path, figures),
+            renewed_folder(executed, _part(path, path.name, executed), [path.name]) as new,
+        ):
             try:
                 notebook = papermill.execute_notebook(
                     path,

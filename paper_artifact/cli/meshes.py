@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from os.path import realpath
+from os.path import realpath, relpath
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -245,9 +245,9 @@ def propose(soup: str | None, scene: Path | None) -> int:
     return 0
 
 
-def _identity(mesh: str) -> str:
-    """Return the absolute path of a mesh file, a name as it is."""
-    return str(Path(mesh).resolve()) if Path(mesh).is_file() else mesh
+def _identity(mesh: str, folder: Path) -> str:
+    """Return a mesh file's path from `folder`, which stays where both are moved; a name as it is."""
+    return relpath(Path(mesh).resolve(), folder.resolve()) if Path(mesh).is_file() else mesh
 
 
 def _check_other(folder: Path, mesh: str) -> None:
@@ -255,7 +255,7 @@ def _check_other(folder: Path, mesh: str) -> None:
     other = None
     with suppress(OSError, ValueError, AttributeError):
         other = load_json(folder / "audit.json").get("mesh")
-    if other not in (None, _identity(mesh)):
+    if other not in (None, _identity(mesh, folder)):
         raise WrongUsage(f"{folder} has the audit of {other}; give another folder with --out")
 
 
@@ -279,7 +279,7 @@ def audit(options: AuditOptions) -> int:
     mesh = find_mesh(options.mesh, welded=False)
     folder = options.out or RESULTS / "audits" / (cut_name(re.sub(r"[^\w.-]+", "_", mesh.name)) or "mesh")
     _check_other(folder, options.mesh)
-    part = f"audit of {_identity(options.mesh)}"
+    part = f"audit of {_identity(options.mesh, folder)}"
     with renewed_folder(folder, part, AUDIT_FILES) as new, stage_bar(options.mesh, options.quiet) as stage:
         found = audit_mesh(
             mesh,
@@ -291,7 +291,7 @@ def audit(options: AuditOptions) -> int:
             progress=stage,
         )
         page = audit_page(found)
-        write_json(new / "audit.json", found.to_json() | {"mesh": _identity(options.mesh)})
+        write_json(new / "audit.json", found.to_json() | {"mesh": _identity(options.mesh, folder)})
         if found.bundle is not None:
             found.bundle.save(new / "bundle.json")
         write_text(new / "audit.html", page)
