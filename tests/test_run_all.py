@@ -95,6 +95,10 @@ def test_a_notebook_of_the_same_name_elsewhere_replaces_nothing(tmp_path):
     with pytest.raises(InputError, match="01_a.ipynb is there and was not written by this command"):
         executed(paths[1], executed=tmp_path / "out")
     assert (tmp_path / "out" / "01_a.ipynb").read_bytes() == before
+    project = write_notebook(tmp_path / "p" / "nb" / "01_a.ipynb", "1").parents[1]
+    assert not executed(project / "nb" / "01_a.ipynb", executed=project / "ex").error
+    moved = project.rename(tmp_path / "q")
+    assert not executed(moved / "nb" / "01_a.ipynb", executed=moved / "ex").error
 
 
 def test_refresh_leaves_what_was_edited_meanwhile(tmp_path):
