@@ -147,14 +147,11 @@ def execute(
         if not path.is_file():
             raise OSError("it is no file")
         before = path.read_bytes()
-        with (
-            figures_of(path, figures),
-            renewed_folder(executed, _part(path, path.name, executed), [path.name]) as new,
-        ):
+        part = _part(path, path.name, executed)
+        with figures_of(path, figures), renewed_folder(executed, part, [path.name]) as new:
             try:
                 notebook = papermill.execute_notebook(
-                    path,
-                    new / path.name,
+                    *(str(each).replace("{", "{{").replace("}", "}}") for each in (path, new / path.name)),
                     parameters={"profile": profile},
                     cwd=path.parent,
                     kernel_name=KERNEL,

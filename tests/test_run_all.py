@@ -97,7 +97,7 @@ def test_a_notebook_of_the_same_name_elsewhere_replaces_nothing(tmp_path):
     assert (tmp_path / "out" / "01_a.ipynb").read_bytes() == before
     project = write_notebook(tmp_path / "p" / "nb" / "01_a.ipynb", "1").parents[1]
     assert not executed(project / "nb" / "01_a.ipynb", executed=project / "ex").error
-    moved = project.rename(tmp_path / "q")
+    moved = project.rename(tmp_path / "q{b}")
     assert not executed(moved / "nb" / "01_a.ipynb", executed=moved / "ex").error
 
 

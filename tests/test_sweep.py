@@ -207,7 +207,7 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
     results, _, _ = swept
     asked = []
 
-    def fail(todo, results, device, workers, client):
+    def fail(todo, results, device, workers, *_):
         asked.append((workers, device))
         yield from (Outcome(config, 1.0, f"no luck with {config.seed}") for config in todo)
 
