@@ -145,14 +145,17 @@ def test_an_empty_folder_of_records_makes_a_book_that_says_so(tmp_path):
     assert "There are no records in this folder" in (tmp_path / "book" / "index.html").read_text()
 
 
-def test_records_without_one_of_the_arms_make_a_book(tmp_path):
+def test_records_without_one_of_the_arms_and_odd_names_make_a_book(tmp_path):
     (tmp_path / "runs").mkdir()
     shutil.copy(
         record_path(study_config("sphere", "C0", 0), REPOSITORY / "results" / "runs"), tmp_path / "runs"
     )
-    build(tmp_path / "book", executed=NOWHERE, runs=tmp_path / "runs")
+    notebook(tmp_path / "own" / "Test #2.ipynb", 'x = 1\nplot.show("key", figure)')
+    build(tmp_path / "book", tmp_path / "own", NOWHERE, tmp_path / "runs")
     index = (tmp_path / "book" / "index.html").read_text()
     assert "<th>sphere</th>" in index and "nan" not in index
+    assert 'href="notebooks/Test%20%232.html"' in (tmp_path / "book" / "notebooks.html").read_text()
+    assert 'src="../figures/Test%20%232_key.png"' in (tmp_path / "book/notebooks/Test #2.html").read_text()
 
 
 def test_words_and_tallies():

@@ -333,3 +333,14 @@ def test_odd_variables_are_a_sentence_or_nothing(name, value, code, words, tmp_p
     line = f"fetch cow --out={tmp_path}" if code == 1 else "certify torus"
     assert words in command(line, code=code).err
     assert not {"MPLBACKEND", "TQDM_NCOLS"} & {*os.environ}
+
+
+def test_outputs_of_certify_are_tried_first_and_proposed_where_nothing_is(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    said = command(f"certify torus --cut 1 --out {tmp_path}/file/x.ply", code=1)
+    assert "cannot write" in said.err and said.out == ""
+    Path("open.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nf 1 2 3\nf 1 2 4\nf 1 2 3\n")
+    for name in ("open_shell.ply", "open_shell-2.ply"):
+        assert f"--out {name}" in command("certify open.obj", code=1).out
+        Path(name).touch()

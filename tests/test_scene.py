@@ -180,8 +180,9 @@ def test_one_flipped_bit_of_a_built_scene_is_refused(torus_scene, tmp_path, name
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
-    with pytest.raises(InputError, match=f"{name} is not as it was built"):
-        load_scene(tmp_path / "flipped")
+    for read in (load_scene, lambda folder: build_scene(make_shape("torus"), SMALL, folder)):
+        with pytest.raises(InputError, match=f"{name} is not as it was built"):
+            read(tmp_path / "flipped")
 
 
 TINY = ["--views", "3", "--size", "16", "--points", "50", "--supersample", "1"]

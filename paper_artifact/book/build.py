@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import nbformat
 import numpy as np
@@ -365,7 +366,7 @@ class Pages:
         {(cell, output): file in the folder figures}."""
         notebook = nbformat.from_dict(chapter.notebook)
         for (cell, output), file in pictures.items():
-            link = f"../figures/{file}"
+            link = f"../figures/{quote(file)}"
             image = f'<a href="{link}"><img src="{link}" alt="{escape(file)}"></a>'
             notebook.cells[cell].outputs[output]["data"] = {"text/html": image}
         for cell in notebook.cells:

@@ -14,9 +14,17 @@ import numpy as np
 from paper_artifact.audit.rule import DENSITIES, WORKING, counted
 from paper_artifact.cli.bars import stage_bar
 from paper_artifact.cli.options import Options, Positional, Source, WrongUsage, words_of
-from paper_artifact.cli.output import next_command, next_mesh, to_string
+from paper_artifact.cli.output import free_name, next_command, next_mesh, to_string
 from paper_artifact.errors import InputError, quoted
-from paper_artifact.files import RESULTS, cut_name, load_json, renewed_folder, write_json, write_text
+from paper_artifact.files import (
+    RESULTS,
+    check_writable,
+    cut_name,
+    load_json,
+    renewed_folder,
+    write_json,
+    write_text,
+)
 from paper_artifact.mesh import FEATURES, Mesh, betti_text, checked_mesh
 from paper_artifact.randomness import stream
 from paper_artifact.scene.shapes import find_mesh
@@ -63,8 +71,9 @@ def certify(options: Certify) -> tuple[int, Any]:
         raise WrongUsage(f"--where writes .html or .ply, got {options.where}")
     if options.fill is not None and options.cut is not None:
         raise WrongUsage("give --fill or --cut, one at a time: the other's numbers change with it")
-    if options.fill or options.cut:
-        _mended(options)
+    for file in (_mended(options) if options.fill or options.cut else None, options.where):
+        if file is not None:
+            check_writable(file)
     if options.out is not None and not (options.fill or options.cut):
         raise WrongUsage("--out has a meaning with --fill or --cut alone")
     with stage_bar(options.mesh, options.quiet) as stage:
@@ -73,7 +82,7 @@ def certify(options: Certify) -> tuple[int, Any]:
         certificate = certify_mesh(mesh, with_boundary=False if options.closed else None, progress=stage)
     print(certificate_text(certificate))
     found = certificate.to_json()
-    shell = f"{cut_name(mesh.name)}_shell.ply"
+    shell = free_name(f"{cut_name(mesh.name)}_shell.ply")
     if options.where or options.fill or options.cut:
         if not (certificate.passed and certificate.closed):
             raise InputError(
@@ -170,7 +179,7 @@ def _where(options: Certify, mesh: Mesh, genus: int) -> dict[str, Any]:
         out = _mended(options)
         written = write_shell(out, cut_and_capped(mesh, of_kind[kind][number - 1]))
         print(f"{out}: {verdict_text(written)}, {written.kind}, {betti_text(written.betti)}")
-        print(next_command("certify", out, "--where", f"{out.stem}.html"))
+        print(next_command("certify", out, "--where", free_name(f"{out.stem}.html")))
     return {"where": [dict(zip(("kind", "number", "colour", *heads[3:]), row, strict=True)) for row in rows]}
 
 

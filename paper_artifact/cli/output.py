@@ -95,7 +95,12 @@ def next_command(*words: object) -> str:
 
 
 def next_mesh(*words: object) -> str:
-    """Return `next_command` of a verb that makes a mesh, with an --out that the current folder does not have:
-    mesh.ply, or mesh-2.ply, …"""
-    names = ("mesh.ply", *(f"mesh-{number}.ply" for number in range(2, 1000)))
-    return next_command(*words, "--out", next(name for name in names if not lexists(name)))
+    """Return `next_command` of a verb that makes a mesh, with an --out that takes no file's place."""
+    return next_command(*words, "--out", free_name("mesh.ply"))
+
+
+def free_name(name: str) -> str:
+    """Return the first of NAME.ply, NAME-2.ply, … that the current folder does not have."""
+    stem, dot, ending = name.rpartition(".")
+    names = (name, *(f"{stem}-{number}{dot}{ending}" for number in range(2, 1000)))
+    return next(each for each in names if not lexists(each))

@@ -204,6 +204,7 @@ def holds(folder: Path, key: str) -> bool:
             f"{folder} holds a scene of other images, or of another mesh or configuration; "
             "choose another folder or remove it"
         )
+    check_files(folder, read_description(folder))
     names = [pose.name for pose in read_model(model_folder(folder)).images.values()]
     if not all((folder / "images" / name).is_file() for name in names):
         raise InputError(
