@@ -114,7 +114,8 @@ def unread(folder: Path) -> list[str]:
     copies = {part for each in folder.rglob("*.*") for part in _derived(folder, each)}
     if copies:
         told.append(f"left out as copies or masks: {', '.join(sorted(copies))}; give such a folder by itself")
-    seen = [each for each in sorted(folder.rglob("*")) if not each.name.startswith(".")]
+    all_of_it = [(each, each.relative_to(folder).parts) for each in sorted(folder.rglob("*"))]
+    seen = [each for each, parts in all_of_it if not any(part.startswith(".") for part in parts)]
     lost = [each.name for each in seen if each.suffix.lower() in ENDINGS and not os.path.exists(each)]
     closed = [each.name for each in seen if each.is_dir() and not os.access(each, os.R_OK | os.X_OK)]
     for names, what in ((lost, "links that lead nowhere"), (closed, "folders that may not be read")):

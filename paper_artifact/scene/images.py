@@ -26,7 +26,6 @@ from paper_artifact.scene.cameras import Camera
 COLOURS = ("RGB", "RGBA", "P", "PA", "CMYK", "YCbCr")
 TRANSPARENT, OPAQUE = ("RGBA", "LA", "PA"), ("RGB", "L", "P", "1", "CMYK", "YCbCr")
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # not all of PIL's: some start other programs
-ENDS = {"JPEG": (b"\xff\xd9",), "PNG": (b"IEND\xaeB`\x82",), "WEBP": ()}  # in what files end, but for zeros
 PADDING = 64  # zeros at a file's end, at least, that are no part of a compressed picture
 BLANK = 4  # of 255: a picture that varies by less in every colour shows nothing
 LIGHT = 240  # of 255: a mask's white is at least this
@@ -152,10 +151,7 @@ def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Imag
                 raise InputError(f"{file} has {many}; scale it down")
             if picture.mode not in TRANSPARENT + OPAQUE:
                 raise InputError(f"{file} has pixels of type {picture.mode}; convert it to 8-bit RGB")
-            data = content.getvalue() if content else file.read_bytes()
-            if data.endswith(bytes(PADDING)) and not data.rstrip(b"\0").endswith(
-                ENDS.get(picture.format or "", b"")
-            ):
+            if _is_cut(str(picture.format), content.getvalue() if content else file.read_bytes()):
                 raise InputError(
                     f"{file} is damaged: it ends in zeros, as a copy that was cut; copy it again"
                 )
@@ -174,6 +170,23 @@ def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Imag
     except Exception as error:  # PIL's decoders raise whatever their decoding meets
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{file} is damaged or no image ({reason}); copy it again") from error
+
+
+def _is_cut(form: str, data: bytes) -> bool:
+    """Return whether zeros stand where a compressed picture should end, as in a copy that made room first;
+    zeros and other data may follow the end."""
+    zeros = bytes(PADDING)
+    if not data.endswith(zeros) or form not in ("JPEG", "PNG", "WEBP"):
+        return False
+    if form == "PNG":
+        return b"IEND\xaeB`\x82" not in data
+    if form == "WEBP":
+        return data[: 8 + int.from_bytes(data[4:8], "little")].endswith(zeros)
+    place = 2
+    while data[place : place + 2] not in (b"\xff\xda", b""):  # past the segments before the first scan
+        filled = data[place + 1 : place + 2] == b"\xff"  # a marker may have fill bytes before it
+        place += 1 if filled else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+    return b"\xff\xd9" not in data[place:]
 
 
 def has_transparency(picture: Image.Image) -> bool:
