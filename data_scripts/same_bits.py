@@ -141,11 +141,11 @@ def main() -> int:
     different = False
     if not any(given.only in name for name in RUNS):
         parser.error(f"no run's name holds {given.only!r}; choose among {', '.join(RUNS)}")
-    if not any(given.setting in name for name in [*settings()][1:]):
-        parser.error(
-            f"no setting's name holds {given.setting!r}; choose among {', '.join([*settings()][1:])}"
-        )
-    for name, variables in settings().items():
+    tried = settings()
+    _, *others = tried
+    if not any(given.setting in name for name in others):
+        parser.error(f"no setting's name holds {given.setting!r}; choose among {', '.join(others)}")
+    for name, variables in tried.items():
         if first is not None and given.setting not in name:
             continue
         found = in_child(variables, given.only)

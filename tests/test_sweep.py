@@ -207,7 +207,7 @@ def test_the_verb_lists_failures_last_and_exits_with_1(swept, monkeypatch, capsy
     results, _, _ = swept
     asked = []
 
-    def fail(todo, results, device, workers, *_):
+    def fail(todo, results, device, workers, client):
         asked.append((workers, device))
         yield from (Outcome(config, 1.0, f"no luck with {config.seed}") for config in todo)
 
@@ -241,7 +241,7 @@ def test_a_killed_sweep_goes_on_to_the_same_record(swept, tmp_path, monkeypatch)
         os.killpg(process.pid, signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
     wait_for_end(marker.pid)
-    assert missing(list(CONFIGS), results) == list(CONFIGS)
+    assert missing(list(CONFIGS), results) == {config: config for config in CONFIGS}
     assert len(list((results / "checkpoints").glob("*.pt"))) == 1
     (outcome,) = sweep([CONFIGS[0]], results)
     assert outcome.failure is None
@@ -281,7 +281,7 @@ def test_a_run_ended_by_a_signal_or_without_a_word(monkeypatch):
 
     def failure(command):
         monkeypatch.setattr(sweep_module, "start_run", start(command))
-        *signs, outcome = sweep_module.run_all([CONFIGS[0]], REPOSITORY, "cpu", 1)
+        *signs, outcome = sweep_module.run_all({CONFIGS[0]: CONFIGS[0]}, REPOSITORY, "cpu", 1)
         steps.extend(sign.step for sign in signs)
         return outcome.failure
 
@@ -309,7 +309,7 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
         if ended:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(sweep_module, "missing", lambda configs, results: configs)
+    monkeypatch.setattr(sweep_module, "missing", lambda configs, results: {each: each for each in configs})
     with pytest.raises(KeyboardInterrupt):
         sweep([replace(CONFIGS[0], seed=seed) for seed in range(5)], REPOSITORY, workers=2, report=interrupt)
     assert 0 < len(children) < 5 and {child.returncode for child in children} <= {0, -signal.SIGTERM}
@@ -354,7 +354,7 @@ def test_a_dask_worker_killed_while_it_works_costs_no_record(swept, tmp_path, mo
     assert all(outcome.seconds > 0 for outcome in outcomes if outcome is not failed)
     records, expected = find_records(tmp_path / "results" / "runs"), find_records(swept[0] / "runs")
     assert len(records) == 2 and all(same_run(*pair) for pair in zip(records, expected, strict=True))
-    assert missing(list(CONFIGS), tmp_path / "results") == []
+    assert missing(list(CONFIGS), tmp_path / "results") == {}
 
 
 def test_a_run_is_let_go_once_it_is_recorded(monkeypatch):
@@ -369,7 +369,13 @@ def test_a_run_is_let_go_once_it_is_recorded(monkeypatch):
 
     pool = SimpleNamespace(submit=submit, shutdown=lambda **settings: None)
     monkeypatch.setattr(sweep_module, "remote_run", lambda values, device: (1.0, None))
-    running = run_all(list(CONFIGS), REPOSITORY, "cpu", 1, SimpleNamespace(get_executor=lambda: pool))
+    running = run_all(
+        {config: config for config in CONFIGS},
+        REPOSITORY,
+        "cpu",
+        1,
+        SimpleNamespace(get_executor=lambda: pool),
+    )
     for left in (1, 0):
         assert next(running).failure is None
         assert sum(each() is not None for each in held) == left

@@ -129,7 +129,8 @@ def test_a_mesh_saved_anew_during_a_sweep_ends_its_runs(tmp_path, monkeypatch, w
     tetrahedron = "v {0} 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
     mesh.write_text(tetrahedron.format(0))
     config = RunConfig(str(mesh))
-    own = {config: resolve(config).config}
+    todo = sweep.missing([config], tmp_path)
+    assert todo == {config: resolve(config).config}
     begun = []
 
     def start(*_):
@@ -139,6 +140,6 @@ def test_a_mesh_saved_anew_during_a_sweep_ends_its_runs(tmp_path, monkeypatch, w
     monkeypatch.setattr(sweep, "failure_of", lambda child, stepped: None)
     if when == "before the run":
         mesh.write_text(tetrahedron.format(-1))
-    (outcome,) = sweep.run_all([config], tmp_path, "cpu", 1, own=own)
+    (outcome,) = sweep.run_all(todo, tmp_path, "cpu", 1)
     assert "own.obj was saved anew while the sweep ran" in outcome.failure
     assert len(begun) == (when == "while it runs")

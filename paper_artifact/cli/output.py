@@ -100,7 +100,7 @@ def next_mesh(*words: object) -> str:
 
 
 def free_name(name: str) -> str:
-    """Return the first of NAME.ply, NAME-2.ply, … that the current folder does not have."""
+    """Return `name`, or else the first of STEM-2.ENDING, STEM-3.ENDING, … that the current folder lacks."""
     stem, dot, ending = name.rpartition(".")
     names = (name, *(f"{stem}-{number}{dot}{ending}" for number in range(2, 1000)))
     return next(each for each in names if not lexists(each))

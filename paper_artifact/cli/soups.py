@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
-from os import fsencode
 from os.path import realpath, relpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -230,12 +228,11 @@ def exported(options: Export) -> list[Path]:
         images = {f"view{index}.png": image for index, image in enumerate(rows[-1])}
         images["views.png"] = sheet(rows)
         files["png"] = {name: partial(write_png, image=image) for name, image in images.items()}
-    place = fsencode(relpath(file.resolve(), realpath(options.out)))  # stays where both are moved
+    place = relpath(file.resolve(), realpath(options.out))  # stays where both are moved
     made: list[Path] = []
     for kind, writers in files.items():
         named = {f"{file.stem}.{name}": write for name, write in writers.items()}
-        part = f"export of {file.stem}.{kind} from {sha256(place).hexdigest()[:12]}"
-        with renewed_folder(options.out, part, [*named]) as new:
+        with renewed_folder(options.out, f"export of {file.stem}.{kind} from {place}", [*named]) as new:
             for name, write in named.items():
                 write(new / name)
         made += [options.out / name for name in named]

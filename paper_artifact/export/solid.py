@@ -211,7 +211,9 @@ def write_solid(path: Path | str, solid: SoupSolid) -> Certificate:
     )
     outer = placed(solid.mesh, solid.frame)
     check_scale(outer.vertices, f"the solid for {path}")
-    if len(np.unique(outer.vertices, axis=0)) < len(np.unique(solid.mesh.vertices, axis=0)):
+    if solid.frame != SAME and len(np.unique(outer.vertices, axis=0)) < len(
+        np.unique(solid.mesh.vertices, axis=0)
+    ):
         raise InputError(
             f"points of the solid coincide at coordinates of up to {np.abs(outer.vertices).max():.3g}, so "
             f"{path} was not written; move the mesh nearer to the origin, or scale it up"

@@ -9,6 +9,7 @@ is seen in several.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections import Counter, defaultdict
@@ -95,10 +96,15 @@ def _files(folder: Path) -> list[Path]:
     made = {each.parent for each in folder.rglob(DESCRIPTION)} - {folder}
     return [
         each
-        for each in sorted(folder.rglob("*"))
-        if each.is_file() and not any(part.startswith(".") for part in each.relative_to(folder).parts)
-        if not made.intersection(each.parents) and not _derived(folder, each)
+        for each in _shown(folder)
+        if each.is_file() and not made.intersection(each.parents) and not _derived(folder, each)
     ]
+
+
+def _shown(folder: Path) -> list[Path]:
+    """Return what is in a folder and its sub-folders and not hidden."""
+    found = [(each, each.relative_to(folder).parts) for each in sorted(folder.rglob("*"))]
+    return [each for each, parts in found if not any(part.startswith(".") for part in parts)]
 
 
 def _derived(folder: Path, file: Path) -> list[str]:
@@ -114,10 +120,9 @@ def unread(folder: Path) -> list[str]:
     copies = {part for each in folder.rglob("*.*") for part in _derived(folder, each)}
     if copies:
         told.append(f"left out as copies or masks: {', '.join(sorted(copies))}; give such a folder by itself")
-    all_of_it = [(each, each.relative_to(folder).parts) for each in sorted(folder.rglob("*"))]
-    seen = [each for each, parts in all_of_it if not any(part.startswith(".") for part in parts)]
-    lost = [each.name for each in seen if each.suffix.lower() in ENDINGS and not os.path.exists(each)]
-    closed = [each.name for each in seen if each.is_dir() and not os.access(each, os.R_OK | os.X_OK)]
+    shown = _shown(folder)
+    lost = [each.name for each in shown if each.suffix.lower() in ENDINGS and not os.path.exists(each)]
+    closed = [each.name for each in shown if each.is_dir() and not os.access(each, os.R_OK | os.X_OK)]
     for names, what in ((lost, "links that lead nowhere"), (closed, "folders that may not be read")):
         if names:
             told.append(f"left out, as {what}: {', '.join(names[:4])}{' …' * (len(names) > 4)}; see to them")
@@ -244,7 +249,7 @@ def prepared(
         turned = shape[0] > shape[1] if tall else shape[0] < shape[1]
         target = folder / f"{name}.jpg"
         try:
-            with opened(photographs[name]) as read:
+            with opened(photographs[name], io.BytesIO(photographs[name].read_bytes())) as read:
                 exif, orientation = _camera_tags(read)
                 x, y = UP.get(orientation, LEVEL)
                 read.draft("RGB", (size, size))

@@ -94,8 +94,11 @@ def _scene(config: RunConfig) -> Given:
         if config.allocation is not None:
             raise InputError(f"condition {config.condition} needs a mesh as --target, not a bundle")
         if loss is not None and loss.kind in NEEDS_TARGET:
-            its: dict[str, Any] = {"samples": bundle.samples, "dimensions": bundle.dimensions}
-            its |= {"bundle_seed": bundle.seed}
+            its: dict[str, Any] = {
+                "samples": bundle.samples,
+                "dimensions": bundle.dimensions,
+                "bundle_seed": bundle.seed,
+            }
             for setting, value in its.items():
                 if getattr(loss, setting) not in (value, getattr(LossConfig(), setting)):
                     raise InputError(

@@ -137,7 +137,8 @@ def _decoded(file: Path) -> Image.Image:
 
 @contextmanager
 def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Image]:
-    """Yield the picture in `file`, not yet decoded, for a block that decodes it; content: its bytes.
+    """Yield the picture in `file`, not yet decoded; content: its bytes, for a block that decodes it: then a
+    picture that was cut is refused too.
 
     Raises InputError, which names `file`, for more than MOST_PIXELS, for pixels deeper than 8 bit, and for
     whatever goes wrong in the block.
@@ -151,7 +152,7 @@ def opened(file: Path, content: io.BytesIO | None = None) -> Iterator[Image.Imag
                 raise InputError(f"{file} has {many}; scale it down")
             if picture.mode not in TRANSPARENT + OPAQUE:
                 raise InputError(f"{file} has pixels of type {picture.mode}; convert it to 8-bit RGB")
-            if _is_cut(str(picture.format), content.getvalue() if content else file.read_bytes()):
+            if content is not None and _is_cut(str(picture.format), content.getvalue()):
                 raise InputError(
                     f"{file} is damaged: it ends in zeros, as a copy that was cut; copy it again"
                 )

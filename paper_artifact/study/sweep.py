@@ -14,14 +14,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from statistics import mean
-from types import MappingProxyType
 from typing import Any
 
 from paper_artifact.config import RunConfig, config_from, config_values
@@ -104,17 +103,18 @@ def run_name(config: RunConfig) -> str:
     return f"{called(config)} {config.condition} seed {config.seed}"
 
 
-def missing(configs: list[RunConfig], results: Path) -> list[RunConfig]:
-    """Return those without a record in results/runs; one's own data are read to be known again.
+def missing(configs: list[RunConfig], results: Path) -> dict[RunConfig, RunConfig]:
+    """Return those without a record in results/runs, each with the configuration of its run: one's own data
+    are read to be known again (`resolve`).
 
     A damaged record raises InputError: it is never silently overwritten.
     """
-    todo = []
+    todo = {}
     for config in configs:
         run = resolve(config).config if is_own(config) else config
         path = recorded_path(run, results / "runs")
         if path is None:
-            todo.append(config)
+            todo[config] = run
         else:
             read_record(path)
     return todo
@@ -166,18 +166,14 @@ def remote_run(values: dict, device: str) -> tuple[float, dict]:
 
 
 def run_all(
-    todo: list[RunConfig],
-    results: Path,
-    device: str,
-    workers: int,
-    client: Any = None,
-    own: Mapping[RunConfig, RunConfig] = MappingProxyType({}),
+    todo: dict[RunConfig, RunConfig], results: Path, device: str, workers: int, client: Any = None
 ) -> Generator[Outcome | Step, None, None]:
-    """Yield outcomes as runs end; of local processes, at most `workers` at once, also steps meanwhile.
+    """Yield outcomes of what is `missing` as runs end; of local processes, at most `workers` at once, also
+    steps meanwhile.
 
     client: of a Dask cluster, which runs them; records come back to this machine, soups do not. Runs of a
-    worker that dies are given to another one; a run that fails is not tried again. own: what those of one's
-    own data were when the sweep began (`resolve`); of others, saved meanwhile, no run is begun or counted.
+    worker that dies are given to another one; a run that fails is not tried again. Of one's own data that
+    were saved anew meanwhile no run is begun or counted.
     """
     events: SimpleQueue[Step | Future] = SimpleQueue()
     children: set[subprocess.Popen] = set()
@@ -185,7 +181,7 @@ def run_all(
 
     def local_run(config: RunConfig) -> tuple[float, None]:
         begin = time.perf_counter()
-        if config in own and resolve(config).config != own[config]:
+        if todo[config] != config and resolve(config).config != todo[config]:
             raise RuntimeError(CHANGED.format(config.shape))
         with lock:  # no child may start unseen while the others are being stopped
             if stopping.is_set():
@@ -219,7 +215,7 @@ def run_all(
                 seconds, record = event.result()
                 if record is not None:
                     write_record(record, results / "runs")
-                if config in own and recorded_path(own[config], results / "runs") is None:
+                if todo[config] != config and recorded_path(todo[config], results / "runs") is None:
                     raise RuntimeError(CHANGED.format(config.shape))
             except Exception as error:  # whatever happened there is this run's failure, not the sweep's
                 failure = (str(error).strip() or type(error).__name__).splitlines()[0]
@@ -266,7 +262,6 @@ def sweep(
     for shape in dict.fromkeys(config.shape for config in configs if not is_own(config)):
         find_mesh(shape)  # a mesh that is not available is named before any run starts
     todo = missing(configs, results)
-    own = {config: resolve(config).config for config in todo if is_own(config)}
     outcomes: list[Outcome] = []
     with connect(scheduler) if scheduler and todo else nullcontext() as client:
         if client is not None:
@@ -275,9 +270,9 @@ def sweep(
                 raise InputError(
                     f"the scheduler at {scheduler} has no workers; start one with `dask worker {scheduler}`"
                 )
-        estimate = Estimate(todo, workers)
+        estimate = Estimate([*todo], workers)
         report(f"{len(configs) - len(todo)} of {len(configs)} recorded; {estimate.text()}", 0, len(todo))
-        with closing(run_all(todo, results, device, workers, client, own)) as running:
+        with closing(run_all(todo, results, device, workers, client)) as running:
             for event in running:
                 if isinstance(event, Step):
                     estimate.stepped(event)
