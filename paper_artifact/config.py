@@ -11,7 +11,7 @@ import ast
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from numbers import Integral, Real
+from functools import cache
 from types import NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -22,7 +22,6 @@ DEFAULTS_VERSION = 1
 # What defaults were, {version: {"steps": 2500, "loss.rho": 0.1}}: records of old versions keep their names.
 FORMER_DEFAULTS: dict[int, dict[str, Any]] = {}
 
-KINDS = {bool: bool, str: str, int: Integral, float: Real}  # what a field takes, by its default's
 DEVICES = ("cpu", "cuda", "auto")  # of training
 AUTO = "auto"  # as `samples` of the kind "betti"; stored as 0
 STEPS_OF_THE_STUDY = 2500
@@ -30,6 +29,7 @@ LEAST_SIDE = 22  # pixels of an image: the SSIM window is 11, resampling works a
 # The largest values that a setting may have: none overflows, and what needs memory asks for it first.
 MOST, MOST_SAMPLES, MOST_STEPS, LAST_SEED = 1e6, 10**9, 10**9, 2**63 - 1
 DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500)  # of these steps
+_kinds = cache(get_type_hints)  # of a configuration: its fields' types, by name
 
 
 def _setting(default: Any, about: str, low: float | None = None, **more: Any) -> Any:
@@ -48,15 +48,15 @@ def limits(about: Mapping[str, Any]) -> str:
     return " and ".join(found).replace("more than 0", "positive")
 
 
-def _check_ranges(config: Any) -> None:
-    """Raise InputError for a field of another kind than its default, or outside its metadata's range."""
+def _check_fields(config: Any) -> None:
+    """Store each field as its type. Raises InputError for a value of another kind or out of its metadata's
+    range."""
+    kinds = _kinds(type(config))
     for each in fields(config):
-        about, value = each.metadata, getattr(config, each.name)
+        about, value = each.metadata, _converted(each.name, kinds[each.name], getattr(config, each.name))
+        object.__setattr__(config, each.name, value)  # as the frozen dataclass's own __init__ does
         if "choices" in about and value not in about["choices"]:
             raise InputError(f"unknown {each.name} {value!r}; choose one of {', '.join(about['choices'])}")
-        fits = isinstance(value, KINDS.get(kind := type(each.default), object))
-        if not fits or (kind in KINDS and isinstance(value, bool) != (kind is bool)):
-            raise InputError(f"{each.name} takes a value of kind {kind.__name__}, got {_brief(value)}")
         if limits(about) and not (
             about.get("above", -math.inf) < value < about.get("below", math.inf)
             and about.get("low", -math.inf) <= value <= about.get("high", math.inf)
@@ -129,7 +129,7 @@ class LossConfig:
     )
 
     def __post_init__(self) -> None:
-        _check_ranges(self)
+        _check_fields(self)
         if self.samples == 0 and self.kind != "betti":
             raise InputError(
                 f"samples={AUTO} belongs to the loss kind 'betti' (conditions T1 to T3); for {self.kind!r} "
@@ -173,7 +173,7 @@ class AllocationConfig:
     bundle_seed: int = _setting(0, "seed of that bundle's samples", 0, high=LAST_SEED)
 
     def __post_init__(self) -> None:
-        _check_ranges(self)
+        _check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class GivenConfig:
     holdout: str | None = _setting(None, "of a scene, see `scene.load.held_out`")
 
     def __post_init__(self) -> None:
-        _check_ranges(self)
+        _check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -232,9 +232,8 @@ class RunConfig:
     given: GivenConfig | None = _setting(None, "one's own mesh or scene")
 
     def __post_init__(self) -> None:
-        _check_ranges(self)
-        whole = isinstance(self.dump_steps, tuple) and all(isinstance(step, int) for step in self.dump_steps)
-        if not whole or any(step < 1 or step > self.steps for step in self.dump_steps):
+        _check_fields(self)
+        if any(step < 1 or step > self.steps for step in self.dump_steps):
             raise InputError(f"dump_steps must be a tuple of steps in 1…{self.steps}, got {self.dump_steps}")
         if self.loss is not None and self.loss.refresh_every < 1:
             raise InputError("refresh_every must be at least 1 in a run, got 0")
@@ -255,11 +254,11 @@ PARTS: dict[str, Any] = {"loss": LossConfig, "allocation": AllocationConfig, "gi
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
     """Return `config` with fields replaced. Raises InputError for an unknown name or a value of the wrong
     kind or out of range."""
-    kinds = get_type_hints(type(config))
+    kinds = _kinds(type(config))
     unknown = sorted(set(changes) - set(kinds))
     if unknown:
         raise InputError(f"unknown setting {', '.join(unknown)}; choose among {', '.join(kinds)}")
-    return replace(config, **{name: _converted(name, kinds[name], value) for name, value in changes.items()})
+    return replace(config, **changes)
 
 
 def parse_changes(texts: Iterable[str], option: str) -> dict[str, Any]:
@@ -365,7 +364,7 @@ def _converted(name: str, kind: Any, value: Any) -> Any:
         if all(type(each) is item for each in several):
             return several
     elif wanted is float and type(value) in (int, float):
-        if math.isfinite(number := real(value)):
+        if math.isfinite(number := real(value)) or type(value) is float:  # no range has what is not finite
             return number
     elif type(value) is wanted:
         return value
@@ -394,7 +393,7 @@ def _check_betti(loss: LossConfig) -> None:
     if loss.kind != "betti":
         raise InputError(f"betti belongs to the loss kind 'betti' (T1 to T3), not to {loss.kind!r}")
     words = "betti takes three whole numbers b0,b1,b2 (components, loops, voids)"
-    if not isinstance(numbers, tuple) or len(numbers) != 3 or any(type(each) is not int for each in numbers):
+    if len(numbers) != 3 or any(type(each) is not int for each in numbers):
         raise InputError(f"{words}, got {_brief(numbers)}")
     if min(numbers) < 0 or numbers[0] == 0:
         raise InputError(f"{words}, none of them negative and b0 at least 1, got {numbers}")

@@ -167,7 +167,7 @@ def load_mesh(path: Path | str, welded: bool = True) -> Mesh:
     except MemoryError as error:
         raise InputError(f"{path} does not fit into memory; simplify it first") from error
     except OSError as error:
-        raise InputError(f"cannot read what {path} refers to: {error}") from error
+        raise InputError(f"cannot read what {path} refers to: {str(error):.200}") from error
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         reason = f"it has no {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:150]
         raise InputError(

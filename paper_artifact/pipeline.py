@@ -40,6 +40,7 @@ from paper_artifact.record.store import (
 )
 from paper_artifact.sampling import sample_surface
 from paper_artifact.scene.build import Perturbation, SceneConfig, build_scene, scene_folder
+from paper_artifact.scene.folder import scene_digest
 from paper_artifact.scene.given import Given, is_own, resolve
 from paper_artifact.scene.load import Scene, load_scene
 from paper_artifact.scene.subject import within
@@ -176,12 +177,15 @@ class OwnScene(OwnMesh):
     """A run on one's own photographs, with a target or without."""
 
     def scene(self, results: Path) -> Scene:
-        """Return the scene as the run sees it. Raises InputError for photographs that are too small."""
+        """Return the scene as the run sees it. Raises InputError for photographs that are too small, and for
+        a folder that is not what it was when the run got its name."""
         given, folder = self.given.config.given or GivenConfig(), self.given.folder
         assert folder is not None
         scene = load_scene(
             folder, downscale=given.downscale, background=given.background, holdout=given.holdout
         )
+        if scene_digest(folder) != given.digest:
+            raise InputError(f"{folder} was saved anew while it was read; start again")
         height, width = scene.images.shape[2:]
         if min(height, width) < LEAST_SIDE:
             raise InputError(

@@ -5,6 +5,7 @@ import json
 from dataclasses import fields, make_dataclass, replace
 from typing import get_type_hints
 
+import numpy as np
 import pytest
 
 from paper_artifact import catalogue, config
@@ -40,8 +41,8 @@ from paper_artifact.record.store import config_hash
         ({"final_lr": 2.0}, "final_lr must be positive and at most 1"),
         ({"vertex_lr": "fast"}, "vertex_lr takes a value of kind float, got 'fast'"),
         ({"views": 1}, "views must be at least 2"),
-        ({"mlp_lr": float("nan")}, "mlp_lr takes a value of kind float"),
-        ({"vertex_lr": float("inf")}, "vertex_lr takes a value of kind float"),
+        ({"mlp_lr": float("nan")}, "mlp_lr must be positive and at most 100, got nan"),
+        ({"vertex_lr": float("inf")}, "vertex_lr must be positive and at most 1, got inf"),
         ({"background": "grey"}, "unknown background 'grey'; choose one of white, black"),
         ({"dump_steps": (10, 2501)}, "dump_steps must"),
         ({"dump_steps": (1.5,)}, "dump_steps takes"),
@@ -86,6 +87,32 @@ def test_a_configuration_out_of_range_is_refused(changes, words):
 def test_a_value_of_another_kind_is_refused_by_name(value):
     with pytest.raises(InputError, match="steps takes a value of kind int, got"):
         RunConfig("sphere", steps=value)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: LossConfig(ramp=5),
+        lambda: LossConfig(ramp=("a", "b")),
+        lambda: LossConfig(ramp=(float("nan"), 1.0)),
+        lambda: LossConfig(dimensions=[[1], [2]]),
+        lambda: LossConfig(kind=np.zeros(3)),
+        lambda: RunConfig("sphere", dump_steps=7.5),
+        lambda: RunConfig("sphere", loss={"rho": 0.1}),
+        lambda: RunConfig(3),
+        lambda: GivenConfig(target=5),
+    ],
+)
+def test_a_field_of_another_type_is_one_sentence(make):
+    with pytest.raises(InputError, match=r"takes a value of kind|must be two fractions"):
+        make()
+
+
+def test_fields_are_stored_as_their_types():
+    loss = LossConfig(rho=1, ramp=[0, np.float32(0.5)], dimensions=np.array([1, 2]), samples=np.int64(2048))
+    assert loss == LossConfig(rho=1.0, ramp=(0.0, 0.5), dimensions=(1, 2))
+    assert type(loss.rho) is float and type(loss.samples) is int and type(loss.ramp[1]) is float
+    assert RunConfig("sphere", steps=np.int32(300), dump_steps=[300]).dump_steps == (300,)
 
 
 @pytest.mark.parametrize("kind", [RunConfig, LossConfig, AllocationConfig, GivenConfig])

@@ -232,6 +232,15 @@ def test_models_that_declare_what_they_do_not_hold(part, place, change, words, t
         load_mesh(made.glb(tmp_path, document))
 
 
+def test_a_buffer_whose_name_is_too_long_is_told_shortly(tmp_path):
+    made = Gltf()
+    document = made.document()
+    document["buffers"][0]["uri"] = "a" * 5000
+    with pytest.raises(InputError, match=r"cube.glb") as told:
+        load_mesh(made.glb(tmp_path, document))
+    assert len(str(told.value)) < 400 + len(str(tmp_path))
+
+
 def test_a_model_with_more_instances_than_memory_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("paper_artifact.formats.gltf.MOST_FACES", 1000)
     made = Gltf()

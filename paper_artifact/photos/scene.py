@@ -34,7 +34,7 @@ from paper_artifact.photos.pictures import (
 from paper_artifact.photos.register import HINTS, Registered, log_to, need_pycolmap, register, undistort
 from paper_artifact.scene.cameras import world_to_clip
 from paper_artifact.scene.colmap import Model, read_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION, holds, value_digest, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION, check_same, holds, value_digest, whole_folder
 from paper_artifact.scene.load import AUTO
 
 FORMAT = 4  # raised whenever the same photographs would give another scene
@@ -84,6 +84,7 @@ def photographs_scene(
         raise InputError(f"--every belongs to a video ({' '.join(VIDEOS)}); {source} is none")
     photographs = {source.name: source} if video else photographs_in(source)
     digests = {name: file_digest(file) for name, file in photographs.items()}
+    hashed = {file: digests[name] for name, file in photographs.items()}
     said = {name: value for name, value in asdict(config).items() if value is not None}
     key = value_digest({"format": FORMAT, "config": said, "photographs": digests})
     if holds(folder, key):
@@ -108,6 +109,7 @@ def photographs_scene(
             video_frames(source, config.every, work / "frames", progress)
             photographs = photographs_in(work / "frames")
         ready = prepared(photographs, work / "pictures", work / "masks", config.features, progress)
+        check_same(hashed)
         for doubt in [
             *([] if video else unread(source)),
             *size_doubts(ready.sizes, config.size),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from os.path import isdir
 from pathlib import Path
@@ -153,6 +153,14 @@ def check_files(root: Path, description: dict) -> None:
                 f"{file} is not as it was built (its sha256 is not that in {DESCRIPTION}); remove the "
                 f'scene and build it again, or, if it was changed on purpose, "files" in {DESCRIPTION}'
             )
+
+
+def check_same(files: Mapping[Path, str]) -> None:
+    """Raise InputError when one of the files, {path: sha256 (hex)}, was replaced, changed or removed since it
+    was hashed."""
+    for file, digest in files.items():
+        if not file.is_file() or file_digest(file) != digest:
+            raise InputError(f"{file} was saved anew or removed while it was read; start again")
 
 
 def scene_digest(root: Path) -> str:

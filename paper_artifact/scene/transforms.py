@@ -27,7 +27,7 @@ from paper_artifact.formats.polygons import read_ply_elements
 from paper_artifact.randomness import stream
 from paper_artifact.scene.cameras import Camera
 from paper_artifact.scene.colmap import FARTHEST, LARGEST, pinhole_model, write_model
-from paper_artifact.scene.folder import DESCRIPTION, holds, value_digest, whole_folder
+from paper_artifact.scene.folder import DESCRIPTION, check_same, holds, value_digest, whole_folder
 from paper_artifact.scene.ground_truth import background_colour
 from paper_artifact.scene.images import (
     DISTORTION,
@@ -160,7 +160,8 @@ def transforms_scene(
     if len(sizes) > 1:
         raise InputError(f"{file} lists images of several sizes, {sizes_told(sizes)}; scale them to one size")
     files = [Path(file), *(view.image for view in frames), *(view.mask for view in frames), given]
-    digests = [file_digest(each) for each in files if each is not None]
+    read = [each for each in files if each is not None]
+    digests = [file_digest(each) for each in read]
     key = value_digest({"format": FORMAT, "config": asdict(config), "files": digests})
     if holds(folder, key):
         return folder
@@ -182,6 +183,7 @@ def transforms_scene(
         grey = np.full((len(points), 3), 128, np.uint8)  # nothing reads the colours
         model = pinhole_model(views, range(1, len(views) + 1), points, grey)
         write_model(model, temporary / "sparse" / "0")
+        check_same(dict(zip(read, digests, strict=True)))
         description = {
             "format": FORMAT,
             "package": __version__,
