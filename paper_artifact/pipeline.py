@@ -29,6 +29,7 @@ from paper_artifact.files import OWN, RESULTS, check_writable
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream
+from paper_artifact.record.form import misfit
 from paper_artifact.record.store import (
     check_unedited,
     config_hash,
@@ -309,6 +310,10 @@ def run(
         losses: dict[str, list] = {"step": list(range(1, len(state.losses) + 1)), "loss": state.losses}
         scores = tails(state.dumps, min(TAIL_DUMPS, len(state.dumps))) if state.dumps else {}
         record = make_record(config, state.dumps, scores, state.seconds, losses, **sections)
+        if state.resumed_at is not None and (place := misfit(record)) is not None:
+            raise InputError(
+                f"checkpoint {checkpoint} has no {place} as a run leaves it; delete it to start anew"
+            )
         write_record(record, results / "runs")
         checkpoint.unlink(missing_ok=True)
         return _uncontradicted(record, strict)

@@ -150,7 +150,7 @@ def rewritten(path, **changes) -> None:
         ({"features": np.array(["a", "b"])}, "not a readable soup"),
         ({"opacity": np.ones((40, 3), complex)}, "not a readable soup"),
         ({"features": np.full((40, 3, 7), np.nan)}, "not finite"),
-        ({"features": np.full((40, 3, 7), 3e38, np.float32)}, "holds colours beyond 1e.08"),
+        ({"features": np.full((40, 3, 7), 3e38, np.float32)}, "does not hold a soup: colours beyond 1e.08"),
         (0, "soup.npz is not a readable soup"),
         (10, "soup.npz is not a readable soup"),
         (0.5, "soup.npz is not a readable soup"),

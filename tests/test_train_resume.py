@@ -139,8 +139,46 @@ def test_a_checkpoint_that_is_damaged_or_of_another_run_is_refused(tiny_scene, t
     path.write_bytes(_seal(forged.getvalue()) + forged.getvalue())
     with pytest.raises(InputError, match="run.pt is damaged .*it is of step 13 of 12"):
         resumed_state(path, config, None, backend)
+    soup = saved["soup"]
+    for change in (
+        {"losses": saved["losses"][:-1]},
+        {"losses": ["a"] * 10},
+        {"losses": 5},
+        {"dumps": [{"step": 40}]},
+        {"dumps": [3]},
+        {"resamplings": [{}]},
+        {"seconds": {"photometric": "long"}},
+        {"seconds": [1.0]},
+        {"step": 10.0},
+        {"soup": [soup[0][:-1], *soup[1:]]},
+        {"soup": [soup[0].double(), *soup[1:]]},
+        {"soup": [soup[0] * float("nan"), *soup[1:]]},
+        {"soup": []},
+        {"mlp_moments": {}},
+    ):
+        torch.save(saved | change, forged := io.BytesIO())
+        path.write_bytes(_seal(forged.getvalue()) + forged.getvalue())
+        with pytest.raises(InputError, match="run.pt is damaged .*; delete it to start the run anew"):
+            train(tiny_scene, config, checkpoint=path, device="cpu")
     draws = stream(0, "flipped bits")
     for place in [0, len(SEAL), *draws.integers(0, len(data), 60).tolist()]:
         path.write_bytes(data[:place] + bytes([data[place] ^ 1 << draws.integers(8)]) + data[place + 1 :])
         with pytest.raises(InputError, match="run.pt is damaged .*delete it to start the run anew"):
             resumed_state(path, config, None, backend)
+
+
+def test_a_checkpoint_whose_dumps_no_run_leaves_makes_no_record(tiny_results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(tiny_results, folder)
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, "step", *arguments("C0", folder)], cwd=REPOSITORY, capture_output=True
+    )
+    assert killed.returncode == -signal.SIGKILL
+    (path,) = (folder / "checkpoints").glob("[!.]*.pt")
+    saved = torch.load(io.BytesIO(path.read_bytes().partition(b"\n")[2]), weights_only=True)
+    saved["dumps"][0]["counts"] = ["many"]
+    torch.save(saved, forged := io.BytesIO())
+    path.write_bytes(_seal(forged.getvalue()) + forged.getvalue())
+    with pytest.raises(InputError, match=r"has no dumps\[0\].* as a run leaves it; delete it to start"):
+        run(tiny_config(), results=folder, device="cpu")
+    assert not list((folder / "runs").iterdir())

@@ -145,14 +145,8 @@ def load_soup(path: Path | str) -> Soup:
         raise InputError(f"cannot read {path}: {error.strerror}; check its permissions") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not a readable soup ({error}); export or train it again") from error
-    shapes = [tuple(tensor.shape) for tensor in tensors]
-    count = shapes[0][0] if shapes[0] else 0
-    if count == 0 or shapes != [(count, 3, 3), (count, 3, FEATURES), (count, 3), *MLP_SHAPES]:
-        raise InputError(f"{path} does not hold a soup: array shapes {shapes}; export or train it again")
-    if not all(torch.isfinite(tensor).all() for tensor in tensors):
-        raise InputError(f"the soup {path} holds values that are not finite; train it again")
-    if max(float(tensor.abs().max()) for tensor in tensors[1:]) > MOST_SHADING:
-        raise InputError(f"the soup {path} holds colours beyond {MOST_SHADING:g}; train it again")
+    if fault := soup_fault(tensors):
+        raise InputError(f"{path} does not hold a soup: {fault}; export or train it again")
     record, digest = run_record(path), None
     with suppress(OSError, ValueError, KeyError, TypeError):  # without a record of it, it is what it is
         digest = load_json(record)["soup"]["sha256"] if path.parent.name == "soups" else None
@@ -161,6 +155,19 @@ def load_soup(path: Path | str) -> Soup:
             f"{path} is not the soup of its record {record}; move one of them, or train it again"
         )
     return soup_of(tensors)
+
+
+def soup_fault(tensors: Sequence[torch.Tensor]) -> str | None:
+    """Return why the tensors are none of a soup's, for `soup_of`; None where they are."""
+    shapes = [tuple(tensor.shape) for tensor in tensors]
+    count = shapes[0][0] if shapes and shapes[0] else 0
+    if count == 0 or shapes != [(count, 3, 3), (count, 3, FEATURES), (count, 3), *MLP_SHAPES]:
+        return f"array shapes {shapes}"
+    if any(tensor.dtype != torch.float32 or not torch.isfinite(tensor).all() for tensor in tensors):
+        return "values that are not finite, or no float32"
+    if max(float(tensor.detach().abs().max()) for tensor in tensors[1:]) > MOST_SHADING:
+        return f"colours beyond {MOST_SHADING:g}"
+    return None
 
 
 def load_frame(path: Path | str) -> Frame:

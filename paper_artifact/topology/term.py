@@ -197,8 +197,10 @@ class TopologyTerm:
         return {"lambda_peak": self.lambda_peak, "log": list(self.log)}
 
     def load_state(self, state: dict) -> None:
-        """Take over `state`; the next active step refreshes."""
+        """Take over `state`; the next active step refreshes. Raises ValueError for what no term leaves."""
         self.lambda_peak, self.log = state["lambda_peak"], list(state["log"])
+        if not isinstance(self.lambda_peak, float | None) or any("event" not in each for each in self.log):
+            raise ValueError("it holds no state of a term")
         self._objective = None
 
     def _audit(self, step: int, statement: Statement, report: dict) -> None:

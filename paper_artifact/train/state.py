@@ -27,7 +27,7 @@ from paper_artifact.config import RunConfig, identity
 from paper_artifact.errors import InputError
 from paper_artifact.files import plain, write_bytes, write_failure
 from paper_artifact.soup.adam import SoupOptimiser
-from paper_artifact.soup.state import Soup, soup_of
+from paper_artifact.soup.state import Soup, soup_fault, soup_of
 from paper_artifact.train.backend import Backend
 
 if TYPE_CHECKING:
@@ -180,6 +180,8 @@ def resumed_state(
         history = {name: saved[name] for name in HISTORY}
         if not 0 < history["step"] <= config.steps:
             raise ValueError(f"it is of step {history['step']} of {config.steps}")
+        if (fault := _history_fault(history) or soup_fault(saved["soup"])) is not None:
+            raise ValueError(f"it holds {fault}")
         soup = backend.to_device(soup_of(saved["soup"]).trainable())
         state = TrainState(soup=soup, optimiser=SoupOptimiser(soup), resumed_at=history["step"], **history)
         state.optimiser.load_mlp_state(saved["mlp_moments"])
@@ -194,6 +196,19 @@ def resumed_state(
             f"checkpoint {path} is damaged ({_short(error)}); delete it to start the run anew"
         ) from error
     return state
+
+
+def _history_fault(history: dict) -> str | None:
+    """Return what a checkpoint's history holds that no run leaves there, None where there is nothing."""
+    step, losses, seconds = history["step"], history["losses"], history["seconds"]
+    if type(step) is not int or len(losses) != step or any(type(each) is not float for each in losses):
+        return f"no {step} losses"
+    for name in ("dumps", "resamplings"):
+        if any(type(each["step"]) is not int or not 0 < each["step"] <= step for each in history[name]):
+            return f"{name} of no step"
+    if any(type(each) is not float for each in seconds.values()):
+        return "seconds that are no numbers"
+    return None
 
 
 def _seal(content: bytes) -> bytes:
