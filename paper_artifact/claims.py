@@ -18,6 +18,7 @@ import pandas as pd
 from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY, write_text
 from paper_artifact.results import PUBLISHED, RETRAINED
+from paper_artifact.tables import read_table
 from paper_artifact.verdict import short
 
 FOLDER = REPOSITORY / "results" / "claims"  # committed
@@ -27,6 +28,13 @@ SIDES = {-1: "below", 0: "level with", 1: "above"}
 MISSING = "not recorded"
 
 
+def paper_items() -> pd.DataFrame:
+    """Return the paper's items, one row each: item, title, notebooks, compared, reason; texts. Raises
+    InputError when `items.csv` cannot be read."""
+    names = ("item", "title", "notebooks", "compared", "reason")
+    return read_table(PUBLISHED / "items.csv", *names, advice="restore it with git, or work in a checkout")
+
+
 class Claims:
     """The claims of one notebook, in the order in which they were added."""
 
@@ -34,7 +42,7 @@ class Claims:
         """notebook: its name without ".ipynb"; profile: "full" writes to results/retrained/claims instead."""
         self.path = (FOLDER if profile == "recorded" else RETRAINED / "claims") / f"{notebook}.csv"
         self.rows: list[dict[str, str]] = []
-        self.items = set(pd.read_csv(PUBLISHED / "items.csv")["item"])
+        self.items = set(paper_items()["item"])
 
     def add(self, item: str, what: str, ours: object, paper: object, holds: bool | None) -> bool | None:
         """Add one claim and return `holds`: whether ours says the same as the paper; None where ours is
@@ -53,7 +61,7 @@ class Claims:
         already."""
         frame = pd.DataFrame(self.rows, columns=list(COLUMNS))
         text = frame.to_csv(index=False, lineterminator="\n")
-        if not self.path.is_file() or self.path.read_text(encoding="utf-8") != text:
+        if not self.path.is_file() or self.path.read_bytes() != text.encode():
             write_text(self.path, text)
         return frame
 
@@ -63,11 +71,7 @@ def read_claims(folder: Path = FOLDER) -> pd.DataFrame:
     are none. Raises InputError for a CSV of something else."""
     frames = []
     for path in sorted(folder.glob("*.csv")):
-        try:
-            frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8")
-        except (OSError, ValueError) as error:  # pandas' own are ValueErrors
-            reason = " ".join(str(error).split())
-            raise InputError(f"cannot read the claims {path} ({reason}); run the notebook again") from error
+        frame = read_table(path, advice="run the notebook again, or move the file")
         sound = isinstance(frame.index, pd.RangeIndex) and tuple(frame.columns) == COLUMNS
         if not sound or not frame["holds"].isin(["yes", "no", MISSING]).all():
             raise InputError(

@@ -34,10 +34,13 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY, RESULTS, atomic_path
 from paper_artifact.record.store import read_record, recorded_path
 from paper_artifact.study.studies import STUDIES
+from paper_artifact.tables import read_table
 
 PUBLISHED = REPOSITORY / "results" / "published"  # committed, also where runs are written elsewhere
 MEASURED = REPOSITORY / "results" / "measured"  # one CSV per script of data_scripts/measure
 RETRAINED = RESULTS / "retrained"  # the profile "full" writes here
+RESTORE = "restore it with git"
+NUMBERS = ("dimension", "value", "sd", "ratio", "seeds", "seed", "samples", "genus")  # columns of PUBLISHED
 
 # What a record must have for `_run_row`, and the columns of a refresh, for folders without any.
 NOTHING: dict[str, Any] = {
@@ -295,8 +298,11 @@ def _expected(runs: pd.DataFrame) -> pd.Series:
 
 
 def _starts() -> dict[tuple[str, int], dict[str, float]]:
-    path = MEASURED / "starts.csv"
-    return pd.read_csv(path).set_index(["shape", "seed"]).to_dict("index") if path.is_file() else {}
+    path, numbers = MEASURED / "starts.csv", ("seed", "bottleneck", "count", "chamfer")
+    if not path.exists():
+        return {}
+    table = read_table(path, "shape", *numbers, advice=RESTORE, numbers=numbers)
+    return table.set_index(["shape", "seed"]).to_dict("index")
 
 
 def _start_of(config: Mapping[str, Any], starts: Mapping) -> dict[str, float] | None:
@@ -337,23 +343,20 @@ def _published() -> pd.DataFrame:
     frames = []
     for path in sorted(PUBLISHED.glob("t*_*.csv")):
         kind, _, table = path.stem.partition("_")
-        own = pd.read_csv(path, dtype=str, keep_default_na=False)
-        if "value" not in own:  # tables of texts: a row per cell
+        own = read_table(path, "source", advice=RESTORE)
+        if "value" in own:
+            own = read_table(path, advice=RESTORE, numbers=NUMBERS).assign(printed=own["value"])
+        elif {"shape", "method"} & {*own}:  # tables of texts: a row per cell
             own = own.rename(columns={"method": "shape"}).melt(
                 ["shape", "source"], var_name="quantity", value_name="printed"
             )
-            own["value"] = ""
         else:
-            own["printed"] = own["value"]
+            raise InputError(f"the table {path} has neither values nor methods nor shapes; {RESTORE}")
         frames.append(own.assign(table=table, kind=kind))
     if not frames:
         raise InputError(f"{PUBLISHED} holds no table of the paper; work in a checkout")
     frame = pd.concat(frames, ignore_index=True)
-    numbers = ("dimension", "value", "sd", "ratio", "seeds", "seed", "samples", "genus")
-    frame = frame.assign(
-        **{name: pd.to_numeric(frame[name].replace("", np.nan)) for name in numbers if name in frame}
-    )
-    texts = frame.columns.difference(numbers)
+    texts = frame.columns.difference(NUMBERS)
     frame[texts] = frame[texts].fillna("")
     columns = ["table", "shape", "dimension", "condition", "seed", "samples", "quantity", "value", "printed"]
     columns += ["sd", "ratio", "seeds", "knob", "setting", "note", "source"]
@@ -388,9 +391,6 @@ def measured(name: str) -> pd.DataFrame:
     Raises InputError when the file does not exist or is no table.
     """
     path = MEASURED / f"{name}.csv"
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path} does not exist; python data_scripts/measure/{name}.py makes it")
-    try:
-        return pd.read_csv(path)
-    except ValueError as error:  # pandas' own are
-        raise InputError(f"{path} is no table ({error}); delete it and measure again") from error
+    return read_table(path, advice="delete it and measure again", numbers=None)

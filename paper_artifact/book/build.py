@@ -27,15 +27,14 @@ from paper_artifact import __version__, results
 from paper_artifact.audit.marks import light_mesh
 from paper_artifact.book.main_result import main_frame, main_runs, picture_svg
 from paper_artifact.catalogue import shape_row
-from paper_artifact.claims import FOLDER, MISSING, read_claims
+from paper_artifact.claims import FOLDER, MISSING, paper_items, read_claims
 from paper_artifact.errors import InputError
 from paper_artifact.export.models import mesh_triangles, soup_triangles
 from paper_artifact.export.viewer import framing, html_page
-from paper_artifact.files import RESULTS, renewed_folder, write_bytes, write_text
+from paper_artifact.files import RESULTS, plain, renewed_folder, write_bytes, write_text
 from paper_artifact.mesh import FEATURES
 from paper_artifact.notebooks import EXECUTED, NOTEBOOKS, notebook_files
 from paper_artifact.pages import TEMPLATES, render
-from paper_artifact.results import PUBLISHED
 from paper_artifact.scene.shapes import surface
 from paper_artifact.soup.state import load_soup
 from paper_artifact.verdict import PARITY
@@ -176,10 +175,7 @@ def _build(
 
 def items(claims: pd.DataFrame) -> list[Item]:
     """Return the paper's items in its order. Raises InputError when `items.csv` cannot be read."""
-    try:
-        table = pd.read_csv(PUBLISHED / "items.csv", dtype=str, keep_default_na=False)
-    except OSError as error:
-        raise InputError(f"there is no items.csv in {PUBLISHED}; work in a checkout") from error
+    table = paper_items()
     own = {name: claims[claims["item"] == name] for name in table["item"]}
     return [
         Item(row.item, row.title, tuple(row.notebooks.split()), row.compared, row.reason, own[row.item])
@@ -217,7 +213,7 @@ def read_chapter(path: Path, copy: Path) -> Chapter:
     """Return the notebook at `path`, with the outputs of its executed copy where that has the same code and
     no error. Raises InputError for a file that is no notebook."""
     with told(path.stem):
-        notebook = nbformat.read(path, as_version=4)
+        notebook = nbformat.read(plain(path), as_version=4)
         ran = nbformat.read(copy, as_version=4) if copy.is_file() else None
         fresh = ran is not None and _code(ran) == _code(notebook) and not _failed(ran)
         if fresh and ran is not None:

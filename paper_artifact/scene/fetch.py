@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, atomic_path, file_digest, write_bytes, write_failure
+from paper_artifact.files import REPOSITORY, atomic_path, file_digest, plain, write_bytes, write_failure
 
 DOWNLOADS = REPOSITORY / "data_scripts" / "downloads"
 MIRROR_VARIABLE = "PAPER_ARTIFACT_MIRROR"
@@ -98,12 +98,14 @@ class PhotoSet(NamedTuple):
 def _rows(table: Path) -> list[Source]:
     """Return the rows of a table of meshes or of photographs; the key of a photograph is SET/FILE."""
     try:
-        with open(table, newline="", encoding="utf-8") as handle:
+        with open(plain(table), newline="", encoding="utf-8") as handle:
             rows = list(csv.DictReader(handle))
     except OSError as error:
         raise InputError(
             f"cannot read {table}: {error.strerror}; external meshes need a checkout of the repository"
         ) from error
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"{table} is damaged ({error}); restore it with git") from error
     result = []
     for number, row in enumerate(rows, start=2):
         try:

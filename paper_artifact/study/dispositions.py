@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from paper_artifact.certify.certificate import Certificate, certify_mesh
-from paper_artifact.errors import InputError
 from paper_artifact.files import REPOSITORY
 from paper_artifact.scene.fetch import sources
 from paper_artifact.scene.shapes import find_mesh
+from paper_artifact.tables import read_table
 
 TABLE = REPOSITORY / "results" / "published" / "table_S12.csv"
 
@@ -37,12 +36,8 @@ class Disposition:
 def candidates() -> dict[str, tuple[str, str]]:
     """Return {key: (the paper's certificate, its decision)}. Raises InputError when the published table
     cannot be read."""
-    try:
-        table = pd.read_csv(TABLE, dtype=str, keep_default_na=False)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {TABLE}: {error.strerror}; work in a checkout of the repository"
-        ) from error
+    names = ("shape", "certificate", "genus", "reason", "decision")
+    table = read_table(TABLE, *names, advice="restore it with git, or work in a checkout")
     found = {}
     for row in table.itertuples():
         why = f" (g{row.genus})" if row.certificate == "pass" else f": {row.reason.replace('chi', 'χ')}"
