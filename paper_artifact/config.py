@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from types import NoneType
@@ -29,7 +29,7 @@ LEAST_SIDE = 22  # pixels of an image: the SSIM window is 11, resampling works a
 # The largest values that a setting may have: none overflows, and what needs memory asks for it first.
 MOST, MOST_SAMPLES, MOST_STEPS, LAST_SEED = 1e6, 10**9, 10**9, 2**63 - 1
 DUMP_STEPS = (100, 200, 400, 700, 1000, 1300, 1600, 1900, 2100, 2300, 2400, 2500)  # of these steps
-_kinds = cache(get_type_hints)  # of a configuration: its fields' types, by name
+_kinds: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # of a configuration's fields
 
 
 def _setting(default: Any, about: str, low: float | None = None, **more: Any) -> Any:

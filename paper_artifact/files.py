@@ -14,14 +14,13 @@ from __future__ import annotations
 import errno
 import fcntl
 import hashlib
-import io
 import json
 import os
 import re
 import shutil
 import tempfile
-import zipfile
-from collections.abc import Collection, Iterator, Mapping
+import time
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -33,9 +32,9 @@ SPACE = "free some space and run the same command again"
 LIMIT = "raise the file size limit (ulimit -f), or use another file system, and run the same command again"
 DISK_FULL = {errno.ENOSPC: SPACE, errno.EDQUOT: SPACE, errno.EFBIG: LIMIT, errno.ENOTBLK: "name a file"}
 DISK_FULL[errno.EBADF] = "open it for writing"  # as `1</dev/null` does not
-LARGEST = 2**30  # bytes that an archive may unpack to: eight times a soup of a million triangles
 LONGEST_NAMED = 150  # bytes of a name that other files are named after, of the 255 that file systems take
 DISK_BROKEN = frozenset({errno.EIO, errno.EROFS})
+PATIENCE = 60.0  # seconds that a command waits for another one that moves files into the same folder
 PARTIAL = ".paper_artifact-partial-"  # what temporary folders are called, and nothing of others
 LOCK = "lock"  # the file in one that its owner has locked
 WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte-order marks of UTF-16
@@ -194,7 +193,8 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
     folder = Path(folder)
     with ExitStack() as stack:
         with _writing(folder):
-            _check_own(folder, part, names)
+            with _alone_in(folder):
+                _check_own(folder, part, names)
             (new := stack.enter_context(partial_folder(folder)) / "new").mkdir()
         yield new
         with _writing(folder), _alone_in(folder):
@@ -207,14 +207,30 @@ def renewed_folder(folder: Path, part: str, names: Collection[str] | None = None
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Let nobody else on this machine into this block for the same folder; without locks, anybody."""
-    lock = os.open(folder, os.O_RDONLY)
+    """Let nobody else on this machine into this block for the same folder; without locks, anybody. Raises
+    InputError where another program keeps it locked: ours do so while they move files in."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock, until = os.open(folder, os.O_RDONLY), time.monotonic() + PATIENCE
     try:
         with suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            while not _locked(lock):
+                if time.monotonic() > until:
+                    raise InputError(
+                        f"another program keeps {folder} locked; end it, or choose another folder"
+                    )
+                time.sleep(0.05)
         yield
     finally:
         os.close(lock)
+
+
+def _locked(lock: int) -> bool:
+    """Return whether the lock of a descriptor could be taken. Raises OSError where there are no locks."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _check_own(folder: Path, part: str, names: Collection[str] | None) -> None:
@@ -319,39 +335,6 @@ def load_json(path: Path | str) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
-def write_npz(path: Path | str, arrays: Mapping[str, Any], compressed: bool = True) -> None:
-    """Write arrays by name as .npz to `path`, atomically. Raises InputError as `write_bytes` does."""
-    import numpy as np  # only here: this module is imported by verbs that need no numbers
-
-    content = io.BytesIO()  # in memory first: an archive that meets a full disk complains twice
-    (np.savez_compressed if compressed else np.savez)(content, **arrays)
-    write_bytes(path, content.getvalue())
-
-
-def load_npz(path: Path | str) -> dict[str, Any]:
-    """Return the arrays of the .npz file at `path` by name, every byte held against its checksums. Raises
-    OSError when it cannot be read, ValueError when it is damaged, no archive, holds pickles or unpacks to
-    more than LARGEST bytes."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            check_archive(archive)
-            return {name.removesuffix(".npy"): _array(archive.read(name)) for name in archive.namelist()}
-    except (OSError, ValueError):
-        raise
-    except Exception as error:  # zipfile, zlib and numpy raise many kinds
-        raise ValueError(f"it is damaged, cut off or no .npz archive: {error!r}") from error
-
-
-def check_archive(archive: zipfile.ZipFile) -> None:
-    """Raise ValueError when a zip archive unpacks to more than LARGEST bytes, or says not how many."""
-    members = archive.infolist()
-    if (size := sum(member.file_size for member in members)) > LARGEST:
-        raise ValueError(f"it unpacks to {size} bytes, more than the {LARGEST} that are read")
-    # The size that is given binds the reader for these two only.
-    if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
-        raise ValueError("it is packed by a method that is not read")
-
-
 def cut_name(name: str) -> str:
     """Return a file's name, its beginning alone where it leaves no room for what others add to it."""
     data = os.fsencode(name)
@@ -379,19 +362,6 @@ def decoded(data: bytes) -> str:
     line ends in a line feed. Bytes that are no UTF-8 are kept, as `os.fsdecode` keeps those of names."""
     code, errors = ("utf-16", "replace") if data[:2] in WIDE else ("utf-8-sig", "surrogateescape")
     return data.decode(code, errors).replace("\r\n", "\n").replace("\r", "\n")
-
-
-def _array(data: bytes) -> Any:
-    """Return the array of a .npy file's bytes: never more memory than they take."""
-    import numpy as np
-
-    stream = io.BytesIO(data)
-    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    shape, by_columns, kind = header[np.lib.format.read_magic(stream)](stream)
-    if kind.hasobject:
-        raise ValueError("it holds pickled objects, which are not read")
-    flat = np.frombuffer(data, kind, offset=stream.tell())
-    return flat.reshape(shape, order="F" if by_columns else "C").copy()
 
 
 def _refuse_constant(name: str) -> None:

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from paper_artifact.archives import check_archive
 from paper_artifact.arithmetic import norm
 from paper_artifact.errors import InputError
-from paper_artifact.files import check_archive, partial_folder
+from paper_artifact.files import partial_folder
 from paper_artifact.formats.gltf import read_gltf
 from paper_artifact.formats.polygons import read_obj, read_off, read_ply, read_stl
 from paper_artifact.frame import SAME, Frame

@@ -86,7 +86,11 @@ FILES: dict[str, dict[str, Any]] = {
         "points and lines beside faces: left out": OBJ + "p 1 2\nl 1 2 3\n",
         "unused vertices": OBJ.replace("\nf", "\nv nan 0 0\nf", 1),
         "free-form surfaces": (OBJ + "surf 0 1 0 1 1 2 3 4\n", "free-form surfaces (surf)"),
-        "other files taken in (call)": (OBJ + "call more.obj\n", "takes in other files (call)"),
+        "other files taken in (call)": (OBJ + "call more.obj\n", "has parts in other files (call)"),
+        "a keyword with a zero byte": (
+            OBJ.replace("f 1 ", "f\0 1 "),
+            "begins with 'f\\x00', which is no word",
+        ),
         "cut off within a face": (OBJ + "f 1 2", "line 21 is a face with 2 corners"),
         "index 0": (OBJ + "f 0 1 2\n", "refers to vertex 0"),
         "decimal commas": (OBJ.replace("v 1 ", "v 1,0 "), "1,0"),

@@ -191,7 +191,7 @@ def _soups(folder: Path) -> dict[str, Sample]:
     soup = initial_soup(stream(0, "fuzz soup").normal(size=(40, 3)).astype(np.float32), 12, 0)
     save_soup(file, soup)
     backend: Any = SimpleNamespace(to_host=lambda each: each, to_device=lambda each: each)
-    state = TrainState(10, soup, SoupOptimiser(soup))
+    state = TrainState(10, soup, SoupOptimiser(soup), losses=[0.5] * 10)
     write_checkpoint(checkpoint, tiny_config(), state, None, backend)
     resume = partial(resumed_state, checkpoint, tiny_config(), None, backend)
     return {

@@ -155,6 +155,9 @@ def test_records_without_one_of_the_arms_and_odd_names_make_a_book(tmp_path):
     index = (tmp_path / "book" / "index.html").read_text()
     assert "<th>sphere</th>" in index and "nan" not in index
     assert 'href="notebooks/Test%20%232.html"' in (tmp_path / "book" / "notebooks.html").read_text()
+    for page in (tmp_path / "book").glob("*.html"):
+        assert {*re.findall(r'href="(notebooks/[^"]*)"', page.read_text())} <= {"notebooks/Test%20%232.html"}
+    assert "Notebook: 06_c_matrix." in (tmp_path / "book" / "items.html").read_text()
     assert 'src="../figures/Test%20%232_key.png"' in (tmp_path / "book/notebooks/Test #2.html").read_text()
 
 
@@ -226,7 +229,7 @@ def test_no_script_of_a_notebook_reaches_its_page(tmp_path):
         nbformat.v4.new_output("display_data", {"image/svg+xml": "<svg xmlns='http://www.w3.org/2000/svg'><script>alert(6)</script></svg>"}),
     ]  # fmt: skip
     nbformat.write(made, path)
-    text = str(Pages(tmp_path).notebook_body(read_chapter(path, NOWHERE), {}))
+    text = str(Pages(tmp_path, ()).notebook_body(read_chapter(path, NOWHERE), {}))
     (tmp_path / "page.html").write_text(text)
     page = Page(tmp_path / "page.html")
     assert not page.scripts and not any("javascript:" in link for link in page.links)
@@ -235,6 +238,6 @@ def test_no_script_of_a_notebook_reaches_its_page(tmp_path):
     made.cells[1].outputs = [nbformat.v4.new_output("display_data", {"text/html": TABLE})]
     made.cells[0].source = "# Title\n\nA *line*."
     nbformat.write(made, path)
-    text = str(Pages(tmp_path).notebook_body(read_chapter(path, NOWHERE), {}))
+    text = str(Pages(tmp_path, ()).notebook_body(read_chapter(path, NOWHERE), {}))
     assert "<h1" in text and "<p>A <em>line</em>" in text and '<th colspan="2">mean</th>' in text
     assert "&lt;" not in text and "vertical-align" not in text

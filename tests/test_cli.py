@@ -10,6 +10,7 @@ import sys
 import time
 import types
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -296,13 +297,16 @@ def imports(argv, asked):
         time.sleep(0.01)
 
 
-def calls_back(argv, asked):
-    exec(SWALLOWS, {"__name__": "llvmlite.binding"})
+def calls_back(argv, asked, module="llvmlite.binding"):
+    exec(SWALLOWS, {"__name__": module})
     for _ in range(500):
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("work", (raises_another, imports, calls_back))
+forgets = partial(calls_back, module="weakref")  # a key's callback, whose errors are printed and passed over
+
+
+@pytest.mark.parametrize("work", (raises_another, imports, calls_back, forgets))
 def test_an_interrupt_that_a_library_swallows_or_turns_into_another_error_is_one(
     work, monkeypatch, capsys, tmp_path
 ):

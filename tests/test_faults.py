@@ -257,3 +257,6 @@ def test_a_file_of_the_scene_that_is_read_is_not_replaced(folder, command):
     Path("a.gltf").write_text('{"buffers": [{"uri": "a%20\\u00e9.bin"}]}')
     Path("a é.bin").write_text("precious")
     command("certify a.gltf --json 'a é.bin'", code=2)
+    Path("ball.obj").write_text("mtllib its colours.mtl\nv 0 0 0\n")
+    Path("its colours.mtl").write_text("precious")
+    command("certify ball.obj --json 'its colours.mtl'", code=2)

@@ -1,5 +1,6 @@
 """Files: nothing of the user's is removed, killed work is cleared, live work is not, the umask holds."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from paper_artifact import files
 from paper_artifact.catalogue import study_config
 from paper_artifact.errors import InputError
 from paper_artifact.files import (
@@ -368,3 +370,17 @@ def test_a_pipe_in_a_checkpoints_place_is_refused(tmp_path):
     os.mkfifo(tmp_path / "run.pt")
     with pytest.raises(InputError, match="it is a device or a pipe"):
         resumed_state(tmp_path / "run.pt", study_config("sphere", "C0"), None, None)
+
+
+def test_a_folder_that_another_program_keeps_locked_is_told_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "PATIENCE", 0.2)
+    (out := tmp_path / "out").mkdir()
+    lock = os.open(out, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    words = "another program keeps .*out locked; end it, or choose another"
+    with pytest.raises(InputError, match=words), renewed_folder(out, "part"):
+        raise AssertionError("the block was entered")
+    os.close(lock)
+    with renewed_folder(out, "part") as new:
+        (new / "a").write_text("a")
+    assert (out / "a").read_text() == "a"

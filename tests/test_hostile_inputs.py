@@ -13,8 +13,9 @@ import pytest
 import trimesh
 from PIL import Image
 
+from paper_artifact.archives import LARGEST, load_npz, write_npz
 from paper_artifact.errors import InputError, require_disk
-from paper_artifact.files import LARGEST, inside, load_npz, write_npz
+from paper_artifact.files import inside
 from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.pictures import photographs_in, prepared, unread
 from paper_artifact.record.store import unpack

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from paper_artifact.archives import load_npz
 from paper_artifact.cli import main
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_npz
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.scene.build import SceneConfig, build_scene, scene_folder, scene_key
 from paper_artifact.scene.colmap import read_model

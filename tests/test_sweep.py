@@ -299,7 +299,8 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
     children = []
 
     def start(values, results, device):
-        command = [sys.executable, "-c", "import time; time.sleep(600)" if values["seed"] else "pass"]
+        stopped = "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"
+        command = [sys.executable, "-c", stopped if values["seed"] else "pass"]
         children.append(subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
         return children[-1]
 
@@ -312,7 +313,7 @@ def test_a_sweep_that_is_stopped_ends_its_runs(monkeypatch):
     monkeypatch.setattr(sweep_module, "missing", lambda configs, results: {each: each for each in configs})
     with pytest.raises(KeyboardInterrupt):
         sweep([replace(CONFIGS[0], seed=seed) for seed in range(5)], REPOSITORY, workers=2, report=interrupt)
-    assert 0 < len(children) < 5 and {child.returncode for child in children} <= {0, -signal.SIGTERM}
+    assert 0 < len(children) < 5 and {child.returncode for child in children} <= {0, -signal.SIGKILL}
 
 
 @pytest.mark.parametrize(

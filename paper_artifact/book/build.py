@@ -9,13 +9,13 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 import nbformat
 import numpy as np
@@ -143,7 +143,7 @@ def _build(
     progress("soups")
     views = write_views(tables, main, folder / "soups") if len(main) else []
     progress("notebooks")
-    pages = Pages(folder)
+    pages = Pages(folder, {chapter.name for chapter in chapters})
     figures = []
     for chapter in chapters:
         with told(chapter.name):
@@ -329,14 +329,17 @@ ATTRIBUTES = {
 }
 
 
-class Pages:
-    """Writes pages into one folder."""
+LINK = r'<a href="notebooks/([^"]+)\.html">(.*?)</a>'  # from a page of the book's top to a notebook's
 
-    def __init__(self, folder: Path) -> None:
+
+class Pages:
+    """Writes pages into one folder; links to notebooks other than the `chapters` become plain words."""
+
+    def __init__(self, folder: Path, chapters: Collection[str]) -> None:
         from bleach import clean
         from nbconvert import HTMLExporter
 
-        self.folder = folder
+        self.folder, self.chapters = folder, chapters
         self.exporter = HTMLExporter(
             template_name="basic",
             exclude_anchor_links=True,
@@ -348,7 +351,11 @@ class Pages:
         """Write one page; `file` may lie one folder deeper; template: where it is not called as the file.
         Raises InputError when it cannot be written."""
         page = {"title": title, "menu": MENU, "here": file, "root": "../" * file.count("/")}
-        write_text(self.folder / file, render(template or file, **page, **content))
+        text = render(template or file, **page, **content)
+        write_text(self.folder / file, re.sub(LINK, self._known, text))
+
+    def _known(self, link: re.Match[str]) -> str:
+        return link[0] if unquote(link[1]) in self.chapters else link[2]
 
     def write_style(self) -> None:
         """Write the style sheet: the templates' own and the colours of code."""

@@ -127,10 +127,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _may_be_lost(frame: FrameType | None) -> bool:
     """Return whether libraries may swallow what is raised in the frame: it, or one that called it, imports a
-    module, is llvmlite's (which C calls back) or a __del__."""
+    module, is llvmlite's or a weak reference's (which C calls back) or a __del__."""
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
-        if name.startswith(("importlib._bootstrap", "llvmlite")) or frame.f_code.co_name == "__del__":
+        if (
+            name.startswith(("importlib._bootstrap", "llvmlite", "weakref", "_weakrefset"))
+            or frame.f_code.co_name == "__del__"
+        ):
             return True
         frame = frame.f_back
     return False

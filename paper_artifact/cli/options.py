@@ -36,7 +36,7 @@ from typing import Annotated, Any, NewType, TypeVar
 from urllib.parse import unquote
 
 from paper_artifact.errors import InputError
-from paper_artifact.files import REPOSITORY, load_json, run_record
+from paper_artifact.files import REPOSITORY, decoded, load_json, run_record
 
 T = TypeVar("T")
 POSITIONAL = "positional"
@@ -183,7 +183,7 @@ def _keep_apart(named: Sequence[tuple[str, Any, Path]]) -> None:
 
 def _is_part(file: Path, known: Path) -> bool:
     """Return whether `file` belongs to what is read at `known`: to a scene's folder, whose top level may hold
-    what others wrote, or to the files that a transforms.json or a .gltf names. Both are resolved."""
+    what others wrote, or to the files that a transforms.json, a .gltf or an .obj names. Both are resolved."""
     from paper_artifact.formats.named import IMAGE_ENDINGS
     from paper_artifact.scene.folder import scene_root
 
@@ -193,9 +193,12 @@ def _is_part(file: Path, known: Path) -> bool:
     if known.is_dir() and (file.parent != top or file.name in SCENE_FILES):
         return True
     listing = top / "transforms.json" if known.is_dir() else known
-    if listing.suffix.lower() not in (".json", ".gltf"):
-        return False
     with suppress(OSError, ValueError):
+        if listing.suffix.lower() == ".obj":
+            text = decoded(listing.read_bytes())
+            return any(file.name in line for line in re.findall(r"(?im)^[ \t]*mtllib[ \t](.*)$", text))
+        if listing.suffix.lower() not in (".json", ".gltf"):
+            return False
         content = load_json(listing)
         if listing.suffix.lower() == ".gltf" or "frames" in content:
             names = {PurePosixPath(unquote(text)).name for text in _texts_of(content) if len(text) < 4096}

@@ -20,6 +20,7 @@ from paper_artifact.files import WIDE, decoded
 Triangles = tuple[np.ndarray, np.ndarray]
 
 NOT_POLYGONS = {"surf": "free-form surfaces", "bsp": "patches", "bzp": "patches", "cdp": "patches"}  # of OBJ
+NOT_POLYGONS["call"] = "parts in other files"
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
@@ -37,8 +38,7 @@ def read_obj(data: bytes) -> Triangles:
     number = 0  # of the line
     for line in re.sub(r"\\[ \t]*\n", " \v", text).split("\n"):  # \v, a blank: here the file had another line
         number += 1 + line.count("\v")
-        keyword, *words = line.split() or ("",)
-        keyword = keyword.lower()
+        keyword, *words = line.lower().split() or ("",)
         if keyword == "v":
             if len(words) < 3:
                 raise ValueError(f"cut off at line {number}, a vertex with {len(words)} of 3 coordinates")
@@ -51,10 +51,10 @@ def read_obj(data: bytes) -> Triangles:
             known.append(len(points))
         elif keyword in NOT_POLYGONS:
             raise InputError(
-                f"it has {NOT_POLYGONS[keyword]} ({keyword}), which are not read; export it as polygons"
+                f"it has {NOT_POLYGONS[keyword]} ({keyword}), which are not read; export all as polygons"
             )
-        elif keyword == "call":
-            raise InputError("it takes in other files (call), which are not read; export it as one file")
+        elif not keyword.isprintable():
+            raise ValueError(f"line {number} begins with {keyword!r:.20}, which is no word")
     index = np.array([whole(word.partition("/")[0]) for word in corners], dtype=np.int64)
     if (index == 0).any():
         raise ValueError("a face refers to vertex 0, and OBJ counts from 1")

@@ -14,8 +14,9 @@ from PIL import Image
 from tqdm import tqdm
 
 from paper_artifact import __version__, arithmetic
+from paper_artifact.archives import write_npz
 from paper_artifact.errors import InputError
-from paper_artifact.files import cut_name, file_digest, write_json, write_npz
+from paper_artifact.files import cut_name, file_digest, write_json
 from paper_artifact.frame import frame_for
 from paper_artifact.mesh import Mesh, mesh_hash
 from paper_artifact.randomness import stream

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from paper_artifact.archives import load_npz, write_npz
 from paper_artifact.errors import InputError
-from paper_artifact.files import load_json, load_npz, run_record, write_npz
+from paper_artifact.files import load_json, run_record
 from paper_artifact.frame import SAME, Frame
 from paper_artifact.randomness import stream
 from paper_artifact.raster.arrays import FEATURES, HIDDEN, MLP_SHAPES, SoupArrays, sigmoid

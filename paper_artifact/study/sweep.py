@@ -225,7 +225,7 @@ def run_all(
         with lock:
             stopping.set()
             for child in list(children):
-                child.terminate()
+                child.kill()  # a stopped one would not hear another signal
         pool.shutdown(wait=client is None)
 
 
