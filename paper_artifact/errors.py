@@ -63,7 +63,9 @@ def as_numbers(values: Any, what: str, advice: str) -> Any:
             values = values.double().numpy() if values.is_floating_point() else values.numpy()
         values = np.asarray(values)
         mixed = values.dtype.kind == "O"
-        if mixed and not any(isinstance(each, (str, bytes, complex)) for each in values.flat):
+        if mixed and not any(
+            isinstance(each, (str, bytes, complex, np.complexfloating)) for each in values.flat
+        ):
             values = values.astype(np.float64)
     except (TypeError, ValueError, AttributeError, RuntimeError, OverflowError) as error:
         raise InputError(f"{what} are not numbers ({error}); {advice}") from error

@@ -18,6 +18,7 @@ from paper_artifact.alpha import (
     alpha_diagrams,
     alpha_filtration,
     alpha_persistence,
+    bottleneck,
 )
 from paper_artifact.errors import InputError
 from paper_artifact.randomness import stream
@@ -293,6 +294,16 @@ def test_a_loop_is_represented_by_a_shortest_cycle_at_its_birth():
     for edge in ([0, 0], [0], None, "ab", [0, 1.5], filtration.simplices[1][np.argmin(filtration.radii[1])]):
         with pytest.raises(InputError, match=r"edge \(2,\)|edge of the complex|closes no loop"):
             filtration.shortest_loop(edge)
+
+
+@pytest.mark.parametrize("make", [np.complex64, complex])
+def test_complex_numbers_are_refused_and_lose_no_part(make):
+    for values in (np.array([[0.0, 1.0, 0.0], [0.2, 0.5, 1.0], [1.0, 2.0, 3.0]]), [[0.0, 1.0], [0.2, 0.5]]):
+        mixed = np.array([[make(each + 1j) for each in row] for row in values], dtype=object)
+        for given in (mixed, mixed.astype(complex), torch.tensor(mixed.astype(complex))):
+            for read in (alpha_persistence, alpha_filtration, lambda bars: bottleneck(bars, [[0.0, 1.0]])):
+                with pytest.raises(InputError, match="are not numbers"):
+                    read(given)
 
 
 # the transformer, threads, the import

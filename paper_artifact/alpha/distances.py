@@ -79,7 +79,8 @@ def _bars(bars: Any) -> np.ndarray:
 def _given(bars: Any) -> Any:
     """Return the array or tensor of what may be Pairs or a DiagramTensor; tensors of integers as float64."""
     bars = getattr(bars, "diagram", getattr(bars, "bars", bars))
-    return bars.double() if hasattr(bars, "detach") and not bars.dtype.is_floating_point else bars
+    integers = hasattr(bars, "detach") and not (bars.dtype.is_floating_point or bars.dtype.is_complex)
+    return bars.double() if integers else bars
 
 
 def _half(bars: np.ndarray) -> np.ndarray:
