@@ -140,7 +140,7 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; give a transforms.json") from error
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
-        raise InputError(f"{file} is damaged or no transforms.json ({error}); export it again") from error
+        raise InputError(f"{file} is damaged or no transforms.json ({error!s:.150}); export it again") from error
 
 
 def transforms_scene(
@@ -232,7 +232,7 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
     both = dict(zip(OPENCV, listed, strict=False)) | both
     models = [each for each in MODELS if str(both.get(each) or LENSES[0]).upper() not in LENSES]
     rays = [each for each in OTHER_LENSES if np.any(both.get(each) or 0)]
-    lens = next((f"{each} {both[each]}" for each in rays + models), None)
+    lens = next((f"{each} {both[each]!s:.60}" for each in rays + models), None)
     for each, advice in UNREAD.items():
         if both.get(each) not in (None, False, 0):
             raise InputError(f"{file} has {each}, which is not read; {advice}")
