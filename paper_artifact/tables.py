@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from paper_artifact.errors import InputError
 from paper_artifact.files import plain
 
 
-def read_table(path: Path, *columns: str, advice: str, numbers: Any = ()) -> pd.DataFrame:
+def read_table(path: Path, *columns: str, advice: str, numbers: Sequence[str] | None = ()) -> pd.DataFrame:
     """Return the CSV (UTF-8) at `path`, cells as the texts that they are.
 
     columns: what it must have, among others. numbers: of these columns the cells are numbers, NaN where

@@ -196,7 +196,8 @@ def _is_part(file: Path, known: Path) -> bool:
     with suppress(OSError, ValueError):
         if listing.suffix.lower() == ".obj":
             text = decoded(listing.read_bytes())
-            return any(file.name in line for line in re.findall(r"(?im)^[ \t]*mtllib[ \t](.*)$", text))
+            lines = re.findall(r"(?im)^[ \t]*mtllib[ \t]+(.*?)[ \t]*$", text)  # a name may have blanks
+            return file.name in {PurePosixPath(word).name for line in lines for word in (line, *line.split())}
         if listing.suffix.lower() not in (".json", ".gltf"):
             return False
         content = load_json(listing)

@@ -140,7 +140,9 @@ def read_transforms(file: Path | str, views: int | None = None) -> list[View]:
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; give a transforms.json") from error
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
-        raise InputError(f"{file} is damaged or no transforms.json ({error!s:.150}); export it again") from error
+        raise InputError(
+            f"{file} is damaged or no transforms.json ({error!s:.150}); export it again"
+        ) from error
 
 
 def transforms_scene(
