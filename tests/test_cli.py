@@ -339,6 +339,15 @@ def test_odd_variables_are_a_sentence_or_nothing(name, value, code, words, tmp_p
     assert not {"MPLBACKEND", "TQDM_NCOLS"} & {*os.environ}
 
 
+def test_a_home_that_cannot_be_written_is_no_matter_of_the_figures(tmp_path):
+    code = "from paper_artifact.cli import main; main(['fetch', '--list']); import matplotlib"
+    home = {"HOME": "/proc/none", "MPLCONFIGDIR": "/proc/none", "TMPDIR": str(tmp_path)}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | home, cwd=REPOSITORY, capture_output=True, text=True
+    )
+    assert ended.returncode == 0 and ended.stderr == ""
+
+
 def test_outputs_of_certify_are_tried_first_and_proposed_where_nothing_is(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     Path("file").touch()
