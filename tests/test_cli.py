@@ -339,6 +339,15 @@ def test_odd_variables_are_a_sentence_or_nothing(name, value, code, words, tmp_p
     assert not {"MPLBACKEND", "TQDM_NCOLS"} & {*os.environ}
 
 
+def test_a_path_through_a_folder_that_is_not_there(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    said = command("scene --shape sphere --views 2 --size 22 --out missing/../b", code=2).err
+    assert "--out missing/../b leads through missing, which is not there" in said
+    Path("there").mkdir()
+    command("scene --shape sphere --views 2 --size 22 --out there/../b")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b", "there"]
+
+
 def test_a_home_that_cannot_be_written_is_no_matter_of_the_figures(tmp_path):
     code = "from paper_artifact.cli import main; main(['fetch', '--list']); import matplotlib"
     home = {"HOME": "/proc/none", "MPLCONFIGDIR": "/proc/none", "TMPDIR": str(tmp_path)}

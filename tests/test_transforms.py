@@ -294,3 +294,13 @@ def test_outlines_that_contradict_one_another_and_opaque_images(folder, tmp_path
     (tmp_path / "transforms.json").write_text((folder / "transforms.json").read_text())
     with pytest.raises(InputError, match="--cloud random"):
         transforms_scene(tmp_path / "transforms.json", tmp_path / "bad")
+
+
+def test_a_texture_and_a_cloud_of_one_point_are_refused(folder, tmp_path):
+    with pytest.raises(InputError, match="unknown background 'texture'"):
+        TransformsConfig(background="texture")
+    header = "ply\nformat ascii 1.0\nelement vertex 9\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    (folder / "one.ply").write_text(header + "1 2 3\n" * 9)
+    with pytest.raises(InputError, match="one.ply has 1 points that can be used; take --cloud random"):
+        transforms_scene(changed(folder, ply_file_path="one.ply"), tmp_path / "s")

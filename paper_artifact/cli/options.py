@@ -30,6 +30,7 @@ import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, Field, dataclass, fields
+from itertools import pairwise
 from os.path import realpath
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NewType, TypeVar
@@ -144,7 +145,10 @@ def read_options(kind: type[Options], namespace: argparse.Namespace) -> Options:
                 raise WrongUsage(f"{flag} must be {limits}, got {item}")
             if each.item in (Source, Path):
                 _check_length(flag, os.fsencode(item), SPARE if each.item is Path else 0)
-                named.append((flag, each.item, Path(item)))
+                named.append((flag, each.item, path := Path(item)))
+                for place, above in pairwise([path, *path.parents]):  # the system goes through every folder
+                    if place.name == ".." and not above.exists():
+                        raise WrongUsage(f"{flag} {path} leads through {above}, which is not there")
         values[each.name] = tuple(value) if each.container is tuple else value
     _keep_apart(named)
     values["quiet"] = values["quiet"] or not sys.stderr.isatty()

@@ -16,7 +16,7 @@ from paper_artifact.photos.pictures import FRAMES  # noqa: F401, for the help
 from paper_artifact.photos.register import Registered
 from paper_artifact.photos.scene import PhotosConfig, photographs_scene
 from paper_artifact.scene import fetch as downloads
-from paper_artifact.scene.build import SceneConfig, build_scene
+from paper_artifact.scene.build import TEXTURE, SceneConfig, build_scene
 from paper_artifact.scene.colmap import read_model
 from paper_artifact.scene.fetch import photo_sets, source, sources
 from paper_artifact.scene.folder import model_folder
@@ -177,7 +177,7 @@ class Scene(Options):
     out: Path
     views: int | None = None
     size: int | None = None
-    background: Annotated[str, sorted(BACKGROUNDS)] = SURFACE.background
+    background: Annotated[str, (*BACKGROUNDS, TEXTURE)] = SURFACE.background
     supersample: int | None = None
     points: int | None = None
     cloud: Annotated[str, CLOUDS] | None = None

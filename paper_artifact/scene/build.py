@@ -32,6 +32,7 @@ from paper_artifact.scene.ground_truth import (
 )
 from paper_artifact.scene.load import EVERY
 
+TEXTURE = "texture"  # a background that is infinitely far away, see `surrounding`
 SCENE_FORMAT = 2  # raised whenever the same configuration would give other files
 FIXED = {"texture_frequency": 1.0}  # of the configuration, as keys and scene.json have it
 SEED = 0  # of everything here: the runs of all seeds see one scene
@@ -128,7 +129,7 @@ class SceneConfig:
 
     views: int = 48  # cameras on a Fibonacci sphere, every 8th is held out
     size: int = 200  # image side, pixels
-    background: str = "white"  # "black" or "texture"
+    background: str = "white"  # "black" or TEXTURE
     supersample: int = 4  # samples per pixel and axis
     points: int = 15000  # of the SfM cloud, drawn from the surface, uniform by area
     seed: int = 0  # of the SfM cloud
@@ -147,7 +148,7 @@ class SceneConfig:
                 raise InputError(
                     f"the scene's {name} must be a whole number from {lowest} to {highest}, got {value}"
                 )
-        background_colour(self.background)
+        _background(self.background)
 
 
 def scene_key(mesh: Mesh, config: SceneConfig) -> str:
@@ -192,8 +193,13 @@ def build_scene(mesh: Mesh, config: SceneConfig, folder: Path | str, progress: b
     return folder
 
 
+def _background(name: str) -> np.ndarray:
+    """Return what training and held-out views compose over: of TEXTURE (see `surrounding`) grey."""
+    return np.full(3, 0.5, np.float32) if name == TEXTURE else background_colour(name)
+
+
 def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progress: bool) -> None:
-    background = background_colour(config.background)
+    background = _background(config.background)
     user, frame = mesh, frame_for(mesh.centre, mesh.radius)
     mesh = user.framed(frame)  # what is drawn is drawn in float32; what is written is the user's
     cameras = fibonacci_cameras(mesh, config.views, config.size)
@@ -202,7 +208,7 @@ def _write_scene(mesh: Mesh, config: SceneConfig, folder: Path, key: str, progre
     bar = tqdm(cameras, desc=f"rendering {mesh.name}", unit="view", disable=not progress)
     for place, camera in enumerate(bar):
         name, trained_on = f"view_{place:03d}.png", place % EVERY > 0
-        behind = surrounding(camera) if config.background == "texture" and trained_on else background
+        behind = surrounding(camera) if config.background == TEXTURE and trained_on else background
         image = render_ground_truth(mesh, camera, behind, config.supersample)
         if trained_on:
             image = _noisy_image(image, config.perturbation, place)

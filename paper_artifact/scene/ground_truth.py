@@ -20,11 +20,7 @@ from paper_artifact.randomness import stream
 from paper_artifact.raster.view import rasterize_opaque
 from paper_artifact.scene.cameras import FAR, NEAR, Camera, world_to_clip
 
-BACKGROUNDS = {
-    "white": (1.0, 1.0, 1.0),
-    "black": (0.0, 0.0, 0.0),
-    "texture": (0.5, 0.5, 0.5),  # what training and held-out views compose over; see `build.surrounding`
-}
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 OCTAVES = ((3.0, 1.0), (6.0, 0.6), (12.0, 0.35))  # (radians per bounding radius, amplitude)
 WAVES_PER_OCTAVE = 3
 DARKEST, BRIGHTEST = 0.08, 0.92  # stays apart from black and white backgrounds

@@ -357,8 +357,9 @@ def _points_of(cloud: Path) -> np.ndarray:
     except (OSError, ValueError, LookupError, AttributeError) as error:
         raise InputError(f"the cloud {cloud} is damaged or no PLY file ({error}); export it again") from error
     points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 4 or not np.abs(points).max() < FARTHEST:
-        raise InputError(f"the cloud {cloud} has {len(points)} points that can be used; take --cloud random")
+    different = len(np.unique(points, axis=0))
+    if different < 4 or not np.abs(points).max() < FARTHEST:
+        raise InputError(f"the cloud {cloud} has {different} points that can be used; take --cloud random")
     return points
 
 
