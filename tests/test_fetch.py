@@ -1,6 +1,7 @@
 """Fetching, against a local server and local mirrors: a failure leaves nothing behind and says what to do."""
 
 import hashlib
+import os
 import socket
 import threading
 import zipfile
@@ -201,6 +202,16 @@ def test_a_bad_file_of_a_mirror(tmp_path, out, data, words):
     assert files_below(out) == []
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero")])
+def test_what_is_no_file_in_a_mirror_is_not_copied(tmp_path, out, make):
+    mirror = mirror_with(tmp_path / "mirror", {"data/a b.obj": BODY})
+    (file := mirror / "some+where" / "data" / "a b.obj").unlink()
+    make(file)
+    with pytest.raises(InputError, match="mirror .* has no readable"):
+        get("tri", out, mirror)
+    assert files_below(out) == []
+
+
 def test_a_mirror_that_is_no_folder_and_a_place_that_cannot_be_written(tmp_path, out):
     with pytest.raises(InputError, match="is no folder"):
         get("tri", out, tmp_path / "none")
@@ -264,6 +275,7 @@ def test_the_command_line(tmp_path, out, command, monkeypatch):
     assert first.startswith("spot: the mirror ") and "has no readable" in first and "add the file" in first
     assert last == "paper_artifact: 2 of 2 meshes could not be fetched"
     assert printed == "" and not out.exists()
+    assert "leave spot out" in command("fetch --list spot", code=2).err
     listed = command("fetch --list").out
     assert all(key in listed for key in fetching.sources()) and "  CC0-1.0" in listed
 

@@ -52,6 +52,8 @@ class Fetch(Options):
 def fetch(options: Fetch) -> int:
     """Fetch, with a line per mesh; one that fails is named, the others go on. Returns 1 if one failed."""
     if options.listing:
+        if options.key:
+            raise WrongUsage(f"--list lists all there is; leave {options.key[0]} out")
         print(to_string(("key", "role", "source", "licence"), _listed()))
         return 0
     keys = options.key or [

@@ -238,7 +238,7 @@ def _retrieved(entry: Source, mirror: Path | str | None, target: Path, quiet: bo
         place, origin, reader = str(folder / entry.relative_path), str(folder), _copy
         if not folder.is_dir():
             raise InputError(f"the mirror {folder} is no folder; give the folder that holds {MIRROR_LAYOUT}")
-        if not os.access(place, os.R_OK):
+        if not (Path(place).is_file() and os.access(place, os.R_OK)):  # no folder, pipe or device
             raise InputError(
                 f"the mirror {folder} has no readable {entry.relative_path} (for '{entry.key}'); "
                 "add the file, or leave the mirror out to download it"
