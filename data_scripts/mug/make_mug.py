@@ -91,6 +91,8 @@ if __name__ == "__main__":
     parser.add_argument("thing", choices=THINGS, nargs="?", default="mug")
     parser.add_argument("--out", type=Path, default=None)
     given = parser.parse_args()
+    if given.out is not None and given.out.suffix.lower() != ".ply":
+        parser.error(f"--out is a PLY file, name.ply, got {given.out}")
     out = given.out or HERE.parent / given.thing / f"{given.thing}.ply"
     mesh = mesh_of(given.thing)
     try:
