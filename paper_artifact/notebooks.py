@@ -147,6 +147,11 @@ def execute(
         if not path.is_file():
             raise OSError("it is no file")
         before = path.read_bytes()
+        told = nbformat.reads(before.decode(), as_version=4).metadata
+        names = told.get("language_info", {}).get("name"), told.get("kernelspec", {}).get("language")
+        language = names[0] or names[1] or KERNEL
+        if "python" not in language.lower():
+            raise ValueError(f"it is a notebook in {language}; run-all runs those in Python")
         part = _part(path, path.name, executed)
         with figures_of(path, figures), renewed_folder(executed, part, [path.name]) as new:
             try:
@@ -159,7 +164,8 @@ def execute(
                     progress_bar=bar,
                 )
             except PapermillExecutionError as caught:
-                failure = f"cell {caught.exec_count}: {caught.ename}: {caught.evalue}"
+                reason = caught.evalue or "see the executed copy"  # a magic says it there alone
+                failure = f"cell {caught.exec_count}: {caught.ename}: {reason}"
             else:  # papermill takes exit() for an end
                 results = [each for cell in notebook.cells for each in cell.get("outputs", [])]
                 if any(each.get("ename") == "SystemExit" for each in results):

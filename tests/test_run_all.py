@@ -38,6 +38,25 @@ def executed(path: Path, **options) -> Execution:
         return execute(path, "recorded", **{"executed": path.parent / "out", "quiet": True} | options)
 
 
+def test_a_notebook_in_another_language_and_a_magic_that_does_not_exist_fail(tmp_path, capfd):
+    folder = tmp_path / "notebooks"
+    for name, cell, metadata in (
+        ("01_julia", "x = 1", {"language_info": {"name": "julia"}}),
+        ("02_r", "x <- 1", {"kernelspec": {"name": "ir", "display_name": "R", "language": "R"}}),
+        ("03_magic", "%nomagic", {}),
+        ("04_conda", "1", {"kernelspec": {"name": "conda-env-x-py", "display_name": "x"}}),
+    ):
+        notebook = v4.new_notebook(cells=[v4.new_code_cell(cell)], metadata=metadata)
+        folder.mkdir(exist_ok=True)
+        nbformat.write(notebook, folder / f"{name}.ipynb")
+    code = main(["run-all", f"--notebooks={folder}", f"--out={tmp_path / 'out'}", "--quiet"])
+    said = capfd.readouterr()
+    rows = said.out.splitlines()[1:5]
+    assert code == 1 and said.err == "paper_artifact: 3 of 4 notebooks failed: 01_julia, 02_r, 03_magic\n"
+    assert "in julia; run-all runs those in Python" in rows[0] and "in R; run-all runs" in rows[1]
+    assert "see the executed copy" in rows[2] and rows[3].endswith("ok")
+
+
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):
     folder, out = tmp_path / "notebooks", tmp_path / "out"
     write_notebook(

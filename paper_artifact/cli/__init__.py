@@ -151,7 +151,8 @@ def _run(argv: list[str], asked: str | None) -> int:
     for name in [*os.environ]:  # kind of window, look of bars: a value that cannot be read ends in a trace
         if name == "MPLBACKEND" or name.startswith("TQDM_"):
             del os.environ[name]
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it tells of a home where it cannot write
+    for name in ("matplotlib", "papermill"):  # of a home that cannot be written, of parameters not declared
+        logging.getLogger(name).setLevel(logging.ERROR)
     threads = os.environ.get("NUMBA_NUM_THREADS", "1").strip()
     if threads.lstrip("+-").isdecimal() and int(threads) < 1:
         raise WrongUsage(f"NUMBA_NUM_THREADS is {threads}; unset it, or set it to 1 or more")
