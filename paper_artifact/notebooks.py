@@ -56,7 +56,8 @@ def notebook_files(folder: Path = NOTEBOOKS, only: Sequence[str] = ()) -> list[P
     """
     files = sorted(folder.glob("*.ipynb"))
     if not files:
-        raise InputError(f"there are no notebooks in {folder}; restore them with git")
+        advice = "restore them with git" if folder == NOTEBOOKS else "name a folder that holds some (.ipynb)"
+        raise InputError(f"there are no notebooks in {folder}; {advice}")
     chosen: set[Path] = set()
     for word in only:
         exact = [path for path in files if path.stem == word.removesuffix(".ipynb")]

@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import nbformat
 import pytest
 
 from paper_artifact import claims, results
@@ -64,6 +65,13 @@ def test_the_tables_of_meshes_and_candidates(damage, tmp_path, monkeypatch):
     if damage != "nothing":
         with pytest.raises(InputError, match=r"meshes.csv"):
             sources(table)
+
+
+def test_a_damaged_executed_copy_is_named(tmp_path):
+    nbformat.write(nbformat.v4.new_notebook(), tmp_path / "02.ipynb")
+    (tmp_path / "copy.ipynb").write_text("{")
+    with pytest.raises(InputError, match="the notebook 02 in its executed copy .*copy.ipynb"):
+        build.read_chapter(tmp_path / "02.ipynb", tmp_path / "copy.ipynb")
 
 
 def test_a_pipe_is_no_notebook(tmp_path):

@@ -214,7 +214,9 @@ def read_chapter(path: Path, copy: Path) -> Chapter:
     no error. Raises InputError for a file that is no notebook."""
     with told(path.stem):
         notebook = nbformat.read(plain(path), as_version=4)
+    with told(f"{path.stem} in its executed copy {copy}"):
         ran = nbformat.read(copy, as_version=4) if copy.is_file() else None
+    with told(path.stem):
         fresh = ran is not None and _code(ran) == _code(notebook) and not _failed(ran)
         if fresh and ran is not None:
             hidden = "injected-parameters"
