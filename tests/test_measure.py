@@ -1,6 +1,7 @@
 """The measurements of data_scripts/measure on tiny cases: what they report, never how long it took."""
 
 import importlib
+import signal
 import subprocess
 import sys
 import threading
@@ -215,3 +216,25 @@ def test_an_interrupted_script_says_so(scripts, capsys):
         assert words in capsys.readouterr().err.splitlines()[0]
     sys.excepthook(ValueError, ValueError("a fault"), None)
     assert "ValueError: a fault" in capsys.readouterr().err
+
+
+def test_an_interrupt_that_an_import_of_a_script_swallows_ends_it(tmp_path):
+    swallows = "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(.2)\n"
+    (tmp_path / "swallows.py").write_text(f"import time\n{swallows}except BaseException:\n    pass\n")
+    script = f"import sys\nsys.path.append({str(REPOSITORY / 'data_scripts' / 'measure')!r})\nimport common\n"
+    (tmp_path / "a.py").write_text(f"{script}import swallows, time\ntime.sleep(60)\nprint('lost')\n")
+    ended = subprocess.run(
+        [sys.executable, "-c", RESTORED, str(tmp_path / "a.py")],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == -signal.SIGINT and ended.stdout == ""
+    assert ended.stderr.startswith("a.py: interrupted; ") and len(ended.stderr.splitlines()) == 1
+
+
+# Runs a script as a terminal does: a background job's children would ignore Ctrl-C.
+RESTORED = """import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.executable, sys.orig_argv[:1] + sys.argv[1:])
+"""

@@ -10,35 +10,22 @@ import argparse
 import gc
 import importlib
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
+from paper_artifact.cli import as_script
+
+as_script()  # before what takes long to import
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch start their threads
 
 import pandas as pd
 
-from paper_artifact.cli import sentence
 from paper_artifact.files import check_writable, write_text
 from paper_artifact.results import MEASURED
-
-
-def _say(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print what ended a script: one sentence as the command line does, a fault of the script with its
-    trace."""
-    text = sentence(error, Path(sys.argv[0]).name) or (str(error) if isinstance(error, OSError) else None)
-    if text is None:
-        sys.__excepthook__(kind, error, trace)
-    else:
-        print(f"{Path(sys.argv[0]).name}: {text}", file=sys.stderr)
-
-
-sys.excepthook = _say
 
 
 class Clock:

@@ -12,6 +12,10 @@ triangles by marching cubes of scikit-image.
 import argparse
 from pathlib import Path
 
+from paper_artifact.cli import as_script
+
+as_script()  # before what takes long to import
+
 import numpy as np
 import trimesh
 from skimage.measure import marching_cubes

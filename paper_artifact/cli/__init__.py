@@ -12,22 +12,22 @@ Tab completion: `eval "$(register-python-argcomplete paper-artifact)"`.
 from __future__ import annotations
 
 import argparse
+import atexit
 import errno
 import importlib
 import json
 import logging
 import os
-import signal
 import sys
 import typing
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import ExitStack, redirect_stdout, suppress
 from pathlib import Path
-from threading import current_thread, main_thread
-from types import FrameType
+from types import TracebackType
 from typing import Any
 
 from paper_artifact import __version__
+from paper_artifact.cli.interrupts import listening
 from paper_artifact.cli.options import Options, WrongUsage, add_options, read_options
 from paper_artifact.cli.output import prepare_streams, to_nowhere
 from paper_artifact.errors import InputError, require_memory
@@ -88,56 +88,42 @@ def main(argv: Sequence[str] | None = None) -> int:
     prepare_streams()
     argv = list(sys.argv[1:] if argv is None else argv)
     asked = _asked(argv)
-    interrupted: list[int] = []
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        interrupted.append(number)
-        if _may_be_lost(frame):  # a moment later
-            signal.setitimer(signal.ITIMER_REAL, 0.01)
-        else:
-            raise KeyboardInterrupt
-
-    before = signal.getsignal(signal.SIGINT)
-    heard = current_thread() is main_thread() and before in (signal.SIG_DFL, signal.default_int_handler)
-    try:
-        if heard:
-            signal.signal(signal.SIGINT, interrupt)
-            signal.signal(signal.SIGALRM, interrupt)
-        code = _run(argv, asked)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:  # the reader (head, less) has gone
-        _silence_stdout()
-        return 1
-    except (Exception, KeyboardInterrupt) as error:
-        cause = KeyboardInterrupt() if interrupted else error  # libraries raise another error from it
-        text = sentence(cause, asked)
-        if text is None:
-            raise
-        with suppress(BrokenPipeError):
-            print(f"paper_artifact: {text}", file=sys.stderr)
-        if isinstance(error, OSError):
+    with listening() as interrupted:
+        try:
+            code = _run(argv, asked)
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader (head, less) has gone
             _silence_stdout()
-        return 2 if isinstance(error, WrongUsage) else 1
-    finally:
-        if heard:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, signal.SIG_DFL)
-            signal.signal(signal.SIGINT, before)
+            return 1
+        except (Exception, KeyboardInterrupt) as error:
+            cause = KeyboardInterrupt() if interrupted else error  # libraries raise another error from it
+            text = sentence(cause, asked)
+            if text is None:
+                raise
+            with suppress(BrokenPipeError):
+                print(f"paper_artifact: {text}", file=sys.stderr)
+            if isinstance(error, OSError):
+                _silence_stdout()
+            return 2 if isinstance(error, WrongUsage) else 1
 
 
-def _may_be_lost(frame: FrameType | None) -> bool:
-    """Return whether libraries may swallow what is raised in the frame: it, or one that called it, imports a
-    module, is llvmlite's or a weak reference's (which C calls back) or a __del__."""
-    while frame is not None:
-        name = str(frame.f_globals.get("__name__"))
-        if (
-            name.startswith(("importlib._bootstrap", "llvmlite", "weakref", "_weakrefset"))
-            or frame.f_code.co_name == "__del__"
-        ):
-            return True
-        frame = frame.f_back
-    return False
+def as_script() -> None:
+    """Let the script that calls this, from here to its end, end as a verb does: an interrupt and bad input
+    are one sentence. To be called before the imports that take long."""
+    stack, name = ExitStack(), Path(sys.argv[0]).name
+    interrupted = stack.enter_context(listening())
+    atexit.register(stack.close)
+
+    def say(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        text = sentence(KeyboardInterrupt() if interrupted else error, name)
+        text = text or (str(error) if isinstance(error, OSError) else None)
+        if text is None:
+            sys.__excepthook__(kind, error, trace)
+        else:
+            print(f"{name}: {text}", file=sys.stderr)
+
+    sys.excepthook = say
 
 
 def _run(argv: list[str], asked: str | None) -> int:
