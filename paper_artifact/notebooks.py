@@ -166,7 +166,7 @@ def execute(
                 )
             except PapermillExecutionError as caught:
                 reason = caught.evalue or "see the executed copy"  # a magic says it there alone
-                failure = f"cell {caught.exec_count}: {caught.ename}: {reason}"
+                failure = f"In [{caught.exec_count}]: {caught.ename}: {reason}"
             else:  # papermill takes exit() for an end
                 results = [each for cell in notebook.cells for each in cell.get("outputs", [])]
                 if any(each.get("ename") == "SystemExit" for each in results):

@@ -339,6 +339,13 @@ def test_odd_variables_are_a_sentence_or_nothing(name, value, code, words, tmp_p
     assert not {"MPLBACKEND", "TQDM_NCOLS"} & {*os.environ}
 
 
+def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    said = command("audit torus --out ''", code=2).err
+    assert "argument --out: the name is empty; is a variable of the shell not set?" in said
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_path_through_a_folder_that_is_not_there(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     said = command("scene --shape sphere --views 2 --size 22 --out missing/../b", code=2).err

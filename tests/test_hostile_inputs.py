@@ -20,6 +20,7 @@ from paper_artifact.mesh import load_mesh
 from paper_artifact.photos.pictures import photographs_in, prepared, unread
 from paper_artifact.record.store import unpack
 from paper_artifact.scene.colmap import Intrinsics, Model, Pose, write_model
+from paper_artifact.scene.folder import read_description
 from paper_artifact.scene.images import MOST_PIXELS, read_pixels
 from paper_artifact.scene.load import load_scene
 from tests.file_features import Gltf
@@ -293,3 +294,10 @@ def test_a_zip_with_changed_bytes_is_read_whole_or_refused(tmp_path):
         except InputError:
             refused += 1
     assert refused > len(data) / 2
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("nowhere")])
+def test_a_description_of_a_scene_that_is_no_file_is_not_passed_over(tmp_path, make):
+    make(tmp_path / "scene.json")
+    with pytest.raises(InputError, match=r"cannot read .*scene.json"):
+        read_description(tmp_path)

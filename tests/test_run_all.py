@@ -96,7 +96,7 @@ def test_refresh_repeats_itself_byte_for_byte(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "code, error", [("1 / 0", "cell 3: ZeroDivisionError"), ("import sys; sys.exit(0)", "a cell ended the")]
+    "code, error", [("1 / 0", "In [3]: ZeroDivisionError"), ("import sys; sys.exit(0)", "a cell ended the")]
 )
 def test_refresh_leaves_a_failing_notebook_alone(tmp_path, code, error):
     path = write_notebook(tmp_path / "01_bad.ipynb", code, "print(2)")

@@ -1,6 +1,7 @@
 """NeRF-style cameras become the same cameras, and a cloud that hugs the object."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -304,3 +305,10 @@ def test_a_texture_and_a_cloud_of_one_point_are_refused(folder, tmp_path):
     (folder / "one.ply").write_text(header + "1 2 3\n" * 9)
     with pytest.raises(InputError, match="one.ply has 1 points that can be used; take --cloud random"):
         transforms_scene(changed(folder, ply_file_path="one.ply"), tmp_path / "s")
+
+
+def test_a_mask_of_instant_ngps_is_refused(folder, tmp_path):
+    copied = shutil.copytree(folder, tmp_path / "nerf")
+    Image.new("L", (SIZE, SIZE)).save(copied / "train" / "dynamic_mask_r_3.png")
+    with pytest.raises(InputError, match=r"dynamic_mask_r_3.png lies beside ./train/r_3 and is not read"):
+        read_transforms(copied / "transforms.json")

@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, Self
 
@@ -60,8 +60,13 @@ def in_turn(calls: Mapping[str, Callable[[], Any]], turns: int) -> dict[str, pd.
 
 def in_own_process(work: Callable, *arguments: Any) -> Any:
     """Return work(*arguments), computed in a new process: for peak memory. work: a function of a module."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+    try:
         return pool.submit(work, *arguments).result()
+    finally:
+        for child in active_children():  # which an interrupt would wait for
+            child.kill()
+        pool.shutdown()
 
 
 def count(text: str) -> int:

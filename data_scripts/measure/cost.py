@@ -7,9 +7,10 @@ minutes of CPU on an idle machine.
 
 from collections.abc import Callable
 
+from common import in_turn, options, write
+
 import numpy as np
 import pandas as pd
-from common import in_turn, options, write
 from scipy.spatial import Delaunay
 
 from paper_artifact.alpha.persistence import fast_persistence, gudhi_persistence

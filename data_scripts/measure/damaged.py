@@ -16,10 +16,11 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
+from common import Clock, import_pymeshlab, kept, options, write
+
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, import_pymeshlab, kept, options, write
 from skimage.measure import marching_cubes
 from solid_peers import Surface, poisson, voxels
 

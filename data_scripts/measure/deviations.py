@@ -7,9 +7,10 @@ soups.
 
 from collections.abc import Iterator
 
+from common import needed, options, write
+
 import numpy as np
 import pandas as pd
-from common import needed, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import shapes_of

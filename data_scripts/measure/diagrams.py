@@ -6,9 +6,10 @@ condition, step (0: before training), floor, birth, death; radii over the boundi
 reads it. Two minutes of CPU.
 """
 
+from common import options, write
+
 import numpy as np
 import pandas as pd
-from common import options, write
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.evaluate.diagram import diagram_of

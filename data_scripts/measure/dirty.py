@@ -7,9 +7,10 @@ there is none). Notebook 16 reads it. One minute of CPU.
 
 from collections.abc import Callable, Iterator
 
+from common import options, write
+
 import numpy as np
 import pandas as pd
-from common import options, write
 
 from paper_artifact.alpha import alpha_persistence
 from paper_artifact.catalogue import shape_row

@@ -22,12 +22,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from common import Clock, options, write
+
 import gudhi
 import numpy as np
 import pandas as pd
 import pooch
 import torch
-from common import Clock, options, write
 from peers import OURS, PEERS, Diagrams, reason, version_of, why_missing
 from peers_task import Task, stated_loss
 from scipy.cluster.hierarchy import fcluster, linkage

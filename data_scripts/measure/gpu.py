@@ -8,8 +8,9 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 
-import pandas as pd
 from common import in_own_process
+
+import pandas as pd
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import STEPS_OF_THE_STUDY

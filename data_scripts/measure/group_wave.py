@@ -4,8 +4,9 @@ five at each other density. Two minutes of CPU; notebook 10 reads it.
     python data_scripts/measure/group_wave.py
 """
 
-import pandas as pd
 from common import options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import shapes_of
 from paper_artifact.results import published

@@ -14,10 +14,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from common import options, write
+
 import numpy as np
 import pandas as pd
 import trimesh
-from common import options, write
 from damaged import Field, cylinder, ellipsoid, meshed, ring, union, without
 
 from paper_artifact.catalogue import shape_row, study_config

@@ -8,9 +8,10 @@ minutes and 5 GB of memory.
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
+from common import Clock, in_own_process
+
 import numpy as np
 import pandas as pd
-from common import Clock, in_own_process
 from cost import CLOUDS, points_of
 from PIL import Image
 

@@ -19,10 +19,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
+from common import Clock, options, write
+
 import numpy as np
 import pandas as pd
 import torch
-from common import Clock, options, write
 from cost import CLOUDS, points_of
 from torch import Tensor
 

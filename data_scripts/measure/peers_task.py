@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from common import Clock, options, write
+
 import numpy as np
 import torch
-from common import Clock, options, write
 from peers import OURS, PEERS, Diagrams, Peer, collected, our_diagrams, reason, version_of
 from torch import Tensor
 

@@ -4,8 +4,9 @@ One row per shape and seed: bottleneck distances h0, h1, h2 (radius / D), the co
 judged dimension, Chamfer / D. Notebook 14 reads it. Some minutes of CPU.
 """
 
-import pandas as pd
 from common import options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import SHAPES
 from paper_artifact.evaluate.scores import evaluate_samples, make_target

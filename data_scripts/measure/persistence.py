@@ -11,10 +11,11 @@ eagerpy diode`). Run it on an idle machine.
 from collections.abc import Callable
 from functools import partial
 
+from common import count, in_turn, options, write
+
 import numpy as np
 import pandas as pd
 import torch
-from common import count, in_turn, options, write
 from cost import CLOUDS, points_of
 from peers import PEERS, bar_difference, why_missing
 

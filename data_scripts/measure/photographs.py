@@ -18,10 +18,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from common import kept, options, write
+
 import numpy as np
 import pandas as pd
 import torch
-from common import kept, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config

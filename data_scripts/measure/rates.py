@@ -11,8 +11,9 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import pandas as pd
 from common import Clock, count, kept, options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import study_config
 from paper_artifact.config import RunConfig

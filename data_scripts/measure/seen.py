@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from common import options, write
+
 import numpy as np
 import pandas as pd
-from common import options, write
 from scipy.spatial import cKDTree
 
 from paper_artifact.config import RunConfig

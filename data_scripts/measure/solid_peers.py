@@ -14,10 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
+from common import Clock, import_pymeshlab, kept, options, write
+
 import numpy as np
 import pandas as pd
 import trimesh
-from common import Clock, import_pymeshlab, kept, options, write
 from solids import NAMES, RUN, SEED, betti_of, soups_of
 
 from paper_artifact.certify.certificate import certify_mesh

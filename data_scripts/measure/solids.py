@@ -13,8 +13,9 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
-import pandas as pd
 from common import Clock, kept, options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.certify.certificate import certify_mesh

@@ -13,10 +13,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from common import in_turn, options, write
+
 import numpy as np
 import pandas as pd
 import torch
-from common import in_turn, options, write
 from PIL import Image
 
 from paper_artifact.catalogue import study_config

@@ -5,8 +5,9 @@ the catalogue and five seeds. It depends on shape and seed alone; `results` adds
     python data_scripts/measure/starts.py
 """
 
-import pandas as pd
 from common import options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import SHAPES, study_config
 from paper_artifact.evaluate.scores import evaluate_soup, make_target

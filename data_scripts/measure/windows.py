@@ -4,8 +4,9 @@ sampling seeds, of the torus 200. Five minutes of CPU; notebook 04 reads it.
     python data_scripts/measure/windows.py
 """
 
-import pandas as pd
 from common import options, write
+
+import pandas as pd
 
 from paper_artifact.catalogue import shape_row
 from paper_artifact.results import published

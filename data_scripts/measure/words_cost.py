@@ -4,9 +4,10 @@ One row per shape, M and design: milliseconds of a refresh (samples, diagram, pl
 (value and gradient to the vertices), medians, and the bars that are pulled. Notebook 16 reads it. One minute.
 """
 
+from common import Clock, needed, options, write
+
 import pandas as pd
 import torch
-from common import Clock, needed, options, write
 
 from paper_artifact import results
 from paper_artifact.catalogue import study_config

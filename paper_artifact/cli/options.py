@@ -116,7 +116,8 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
         if each.item is bool:
             settings |= {"action": "store_true"}
         else:
-            settings |= {"type": str if each.item is Source else each.item, "metavar": each.metavar}
+            kind_of = {Source: str, Path: _path}.get(each.item, each.item)
+            settings |= {"type": kind_of, "metavar": each.metavar}
             settings |= {"default": each.default, "choices": each.choices}
         if each.container is list:
             settings |= {"action": "append"}
@@ -230,6 +231,13 @@ def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:
             said = " ".join(text.split()).format_map(constants)
             found[name] = ((other or name).replace("_", "-"), metavar, said)
     return found
+
+
+def _path(text: str) -> Path:
+    """Return the path that a word names. Raises argparse's error for none: it would be the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("the name is empty; is a variable of the shell not set?")
+    return Path(text)
 
 
 def _check_length(flag: str, name: bytes, spare: int) -> None:

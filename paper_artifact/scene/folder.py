@@ -119,7 +119,7 @@ def read_description(root: Path) -> dict:
     Raises InputError unless it is sound: background [r, g, b] in [0,1], radius > 0, holdout a text.
     """
     file = inside(root, DESCRIPTION)
-    if not file.is_file():
+    if not os.path.lexists(file):
         return {}
     try:
         description = load_json(file)

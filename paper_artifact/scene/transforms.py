@@ -248,6 +248,12 @@ def _frame(file: Path, root: dict, own: dict, path: Path) -> View:
         mask = _named(file, str(own["mask_path"]))
         if mask is None:
             raise InputError(f"{file} names the mask {own['mask_path']}, which is not there; copy it too")
+    dynamic = path.with_name(f"dynamic_mask_{path.stem}.png")
+    if dynamic.exists():  # instant-ngp's
+        raise InputError(
+            f"{file}: {dynamic.name} lies beside {name} and is not read; make its pixels transparent in the "
+            "image, and move it away"
+        )
     with opened(path) as image:
         width, height = image.size
     values = {key: float(both[key]) for key in INTRINSICS if both.get(key) is not None}
