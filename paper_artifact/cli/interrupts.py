@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from threading import current_thread, main_thread
 from types import FrameType
 
-CALLED_BACK = ("importlib._bootstrap", "llvmlite", "weakref", "_weakrefset")  # modules
+# Modules: those whose errors are lost, and the start of a process, which would have half of what it needs.
+DELAYING = ("importlib._bootstrap", "llvmlite", "weakref", "_weakrefset", "multiprocessing.popen_spawn")
 
 
 @contextmanager
@@ -40,10 +41,10 @@ def listening() -> Iterator[list[int]]:
 
 def _may_be_lost(frame: FrameType | None) -> bool:
     """Return whether libraries may swallow what is raised in the frame: it, or one that called it, imports a
-    module, is llvmlite's or a weak reference's (which C calls back) or a __del__."""
+    module, is llvmlite's or a weak reference's (which C calls back) or a __del__, or starts a process."""
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
-        if name.startswith(CALLED_BACK) or frame.f_code.co_name == "__del__":
+        if name.startswith(DELAYING) or frame.f_code.co_name == "__del__":
             return True
         frame = frame.f_back
     return False
