@@ -19,6 +19,7 @@ from paper_artifact.scene.shapes import make_shape
 from paper_artifact.scene.transforms import TransformsConfig, transforms_scene
 from tests.test_transforms import cameras, folder, torus  # noqa: F401  (fixtures)
 
+pytestmark = pytest.mark.faults
 SHORT = {"steps": 4, "budget": 60, "samples": 200, "dump_steps": (4,), "resample_every": 2}
 
 

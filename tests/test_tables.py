@@ -13,6 +13,8 @@ from paper_artifact.scene.fetch import sources
 from paper_artifact.study import dispositions
 from paper_artifact.tables import read_table
 
+pytestmark = pytest.mark.faults
+
 READERS = {  # name: (module, the attribute that says where the table lies, what is read)
     "items.csv": (claims, "PUBLISHED", claims.paper_items),
     "starts.csv": (results, "MEASURED", results._starts),
