@@ -8,11 +8,12 @@ uses all of numpy's part, in a fresh virtual environment with the pinned numpy, 
 """
 
 import argparse
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
-import venv
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -66,18 +67,30 @@ def made_and_tried(folder: Path) -> Path:
     (source.parent / "pyproject.toml").write_text(PROJECT.format(version=version), encoding="utf-8")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source.parent]
-    subprocess.run(build, check=True, start_new_session=True)  # Ctrl-C is this script's
+    run(build, folder)
     (wheel,) = folder.glob("*.whl")
-    venv.create(folder / "empty", with_pip=True)
+    run([sys.executable, "-m", "venv", folder / "empty"], folder)
     python = folder / "empty" / "bin" / "python"
     pins = re.findall(
         r"- ((?:numpy|scipy|numba|llvmlite)==\S+)", (ROOT / "environment.yml").read_text(encoding="utf-8")
     )
-    subprocess.run(
-        [python, "-m", "pip", "--quiet", "install", wheel, *pins], check=True, start_new_session=True
-    )
-    subprocess.run([python, "-I", "-c", PROGRAM], check=True, cwd=folder)  # -I: without PYTHONPATH
+    run([python, "-m", "pip", "--quiet", "install", wheel, *pins], folder)
+    run([python, "-I", "-c", PROGRAM], folder)  # -I: without PYTHONPATH
     return wheel
+
+
+def run(command: list, folder: Path) -> None:
+    """Run a program in the folder, its temporary files too; an interrupt, which this script alone hears, ends
+    it with all that it started."""
+    own = {"cwd": folder, "env": os.environ | {"TMPDIR": str(folder)}}
+    with subprocess.Popen(command, start_new_session=True, **own) as process:
+        try:
+            code = process.wait()
+        except BaseException:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)
 
 
 if __name__ == "__main__":

@@ -343,6 +343,7 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, command)
     monkeypatch.chdir(tmp_path)
     said = command("audit torus --out ''", code=2).err
     assert "argument --out: the name is empty; is a variable of the shell not set?" in said
+    assert "the name is empty" in command("photos '' --out x", code=2).err
     assert not [*tmp_path.iterdir()]
 
 

@@ -116,7 +116,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
         if each.item is bool:
             settings |= {"action": "store_true"}
         else:
-            kind_of = {Source: str, Path: _path}.get(each.item, each.item)
+            kind_of = {Source: _named, Path: lambda text: Path(_named(text))}.get(each.item, each.item)
             settings |= {"type": kind_of, "metavar": each.metavar}
             settings |= {"default": each.default, "choices": each.choices}
         if each.container is list:
@@ -233,11 +233,11 @@ def _texts(kind: type) -> dict[str, tuple[str, str | None, str]]:
     return found
 
 
-def _path(text: str) -> Path:
-    """Return the path that a word names. Raises argparse's error for none: it would be the current folder."""
+def _named(text: str) -> str:
+    """Return the word. Raises argparse's error for an empty one, which as a path is the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the name is empty; is a variable of the shell not set?")
-    return Path(text)
+    return text
 
 
 def _check_length(flag: str, name: bytes, spare: int) -> None:
