@@ -4,6 +4,8 @@ itself.
 
 import json
 import os
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from nbformat import v4
 from paper_artifact.cli import main
 from paper_artifact.cli.notebooks import execution_table
 from paper_artifact.errors import InputError
-from paper_artifact.files import FIGURES_VARIABLE
+from paper_artifact.files import FIGURES_VARIABLE, REPOSITORY
 from paper_artifact.notebooks import Execution, cleaned, execute, notebook_files, own_kernel
 
 PARAMETERS = 'profile = "recorded"'
@@ -55,6 +57,16 @@ def test_a_notebook_in_another_language_and_a_magic_that_does_not_exist_fail(tmp
     assert code == 1 and said.err == "paper_artifact: 3 of 4 notebooks failed: 01_julia, 02_r, 03_magic\n"
     assert "in julia; run-all runs those in Python" in rows[0] and "in R; run-all runs" in rows[1]
     assert "see the executed copy" in rows[2] and rows[3].endswith("ok")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_kernels_start_where_a_stream_is_closed(closed, tmp_path):
+    write_notebook(tmp_path / "notebooks" / "01_a.ipynb", "print(1)")
+    words = ["run-all", "--quiet", f"--notebooks={tmp_path}/notebooks", f"--out={tmp_path}/out"]
+    command = shlex.join([sys.executable, "-m", "paper_artifact", *words, f"--figures={tmp_path}/f"])
+    ended = subprocess.run(f"{command} {closed}", shell=True, cwd=REPOSITORY, capture_output=True)
+    assert ended.returncode == 0 and ended.stderr == b""
+    assert printed(tmp_path / "out" / "01_a.ipynb") == "1\n"
 
 
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):

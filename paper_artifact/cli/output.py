@@ -27,13 +27,26 @@ def prepare_streams() -> None:
     A warning is one line; numpy's, of numbers that are refused or masked afterwards, are not shown."""
     warnings.formatwarning = _one_line
     codecs.register_error("plain", _plain)
-    for name in ("stdout", "stderr"):
+    for number, name in ((1, "stdout"), (2, "stderr")):
         stream: Any = getattr(sys, name)
         if stream is None:
+            _open_nowhere(number)  # for the programs that are started: a notebook's kernel needs both
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, open to the end
         elif hasattr(stream, "reconfigure") and "write" not in vars(stream):
             stream.reconfigure(errors="plain")
             stream.write = _shown_plainly(stream)
+
+
+def _open_nowhere(number: int) -> None:
+    """Let a descriptor that is closed take what is written to nowhere, also of programs that are started."""
+    try:
+        os.fstat(number)
+    except OSError:
+        opened = os.open(os.devnull, os.O_WRONLY)
+        if opened != number:
+            os.dup2(opened, number)
+            os.close(opened)
+        os.set_inheritable(number, True)
 
 
 def to_nowhere(stream: TextIO) -> None:
