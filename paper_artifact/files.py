@@ -66,7 +66,7 @@ def write_failure(path: Path | str, error: OSError) -> InputError:
 def partial_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a new temporary folder in `parent` (None: the system's), locked by this process, and remove it
     afterwards; what killed processes left in `parent` is removed before. Raises OSError when `parent` cannot
-    be made or written.
+    be made or written, InputError for what failed in the block because somebody removed the folder.
 
     One file or folder with its final name is to be made in it, beside the lock, and moved out.
     """
@@ -76,6 +76,10 @@ def partial_folder(parent: Path | None = None) -> Iterator[Path]:
     folder, lock = _locked_folder(parent)
     try:
         yield folder
+    except Exception as error:  # of many kinds: C libraries work there too
+        if folder.exists():
+            raise
+        raise InputError(f"{folder} was removed while this command worked in it; run it again") from error
     finally:
         _remove(folder)
         os.close(lock)

@@ -384,3 +384,11 @@ def test_a_folder_that_another_program_keeps_locked_is_told_before_anything_is_m
     with renewed_folder(out, "part") as new:
         (new / "a").write_text("a")
     assert (out / "a").read_text() == "a"
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_temporary_folder_that_somebody_removes_is_told(tmp_path, way):
+    words = "was removed while this command worked in it; run it again"
+    with pytest.raises(InputError, match=words), WAYS[way](tmp_path / "made") as temporary:
+        shutil.rmtree(next(tmp_path.rglob(f"{PARTIAL}*")))
+        (temporary / "a").write_text("a")
