@@ -23,12 +23,14 @@ from nbformat import NotebookNode
 
 from paper_artifact.errors import InputError
 from paper_artifact.files import (
+    DISK_FULL,
     FIGURES_VARIABLE,
     REPOSITORY,
     RESULTS,
     listed,
     partial_folder,
     renewed_folder,
+    write_failure,
     write_text,
 )
 
@@ -179,6 +181,8 @@ def execute(
         raise
     except Exception as caught:  # a dead kernel, a file that is no notebook: the others still run
         failure = f"{type(caught).__name__}: {caught}"
+        if isinstance(caught, OSError) and caught.errno in DISK_FULL:  # papermill's say not of what
+            failure = str(write_failure(executed / path.name, caught))
     return Execution(path.stem, time.monotonic() - start, " ".join(failure.split()))
 
 

@@ -172,7 +172,7 @@ def test_of_a_surface_that_crosses_itself_what_is_said_may_be_wrong(tmp_path, co
         ("bowl_wide --where w.html", 1, "is no closed certified surface"),
         ("torus --where w.png", 2, "--where writes .html or .ply"),
         ("torus --fill 1 --cut 1", 2, "one at a time"),
-        ("torus --cut 1 --json ./x/../torus_cut.ply", 2, "is written to torus_cut.ply too"),
+        ("torus --cut 1 --json ././torus_cut.ply", 2, "is written to torus_cut.ply too"),
         ("torus --cut 0", 2, "--cut must be at least 1"),
     ],
 )

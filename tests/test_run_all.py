@@ -2,6 +2,7 @@
 itself.
 """
 
+import errno
 import json
 import os
 import shlex
@@ -67,6 +68,15 @@ def test_kernels_start_where_a_stream_is_closed(closed, tmp_path):
     ended = subprocess.run(f"{command} {closed}", shell=True, cwd=REPOSITORY, capture_output=True)
     assert ended.returncode == 0 and ended.stderr == b""
     assert printed(tmp_path / "out" / "01_a.ipynb") == "1\n"
+
+
+def test_a_full_disk_names_the_copy(tmp_path, monkeypatch):
+    def full(*arguments, **words):
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr("papermill.execute_notebook", full)
+    error = executed(write_notebook(tmp_path / "01_a.ipynb", "1"), executed=tmp_path / "out").error
+    assert error.startswith(f"cannot write {tmp_path}/out/01_a.ipynb: File too large; raise the file size")
 
 
 def test_order_profile_failure_and_exit_code(tmp_path, capsys):
